@@ -211,10 +211,6 @@ def spectral_peak(segments):
     By the mean periodogram of eight stretches of the longest segment, half over each other
     (Welch, 1967): of white noise it is χ² with 36 K² / (19 K − 1) degrees of freedom.
 
-    Parameters
-    ----------
-    segments : list of ndarray, shapes (n_samples_s, l)
-
     Returns
     -------
     peak : float

@@ -129,16 +129,7 @@ def searching():
 
 
 def square_sums(signal):
-    """Sum of squares of each column, infinite or NaN where it holds such values.
-
-    Parameters
-    ----------
-    signal : ndarray, shape (n_samples, n_signals)
-
-    Returns
-    -------
-    sums : ndarray, shape (n_signals,)
-    """
+    """Sum of squares of each column, infinite or NaN where it holds such values."""
     sums = np.zeros(signal.shape[1])
     rows = max(1, len(signal)) if signal.flags.f_contiguous else CACHED
     with np.errstate(over="ignore", invalid="ignore"):
@@ -151,14 +142,6 @@ def extremes(signal):
     """Smallest and largest value of each column; zeros where there is no row.
 
     Many rows side by side at a time: for rows of few columns this is several times faster.
-
-    Parameters
-    ----------
-    signal : ndarray, shape (n_samples, n_signals)
-
-    Returns
-    -------
-    smallest, largest : ndarray, shapes (n_signals,)
     """
     if signal.size == 0:
         return np.zeros((2, signal.shape[1]))

@@ -364,10 +364,6 @@ def why_incomplete(model, experiment, simulators):
     simulators : callable
         ``simulators(model, experiment)`` are those without a gain, which would follow what states
         that are missing do.
-
-    Returns
-    -------
-    words : str
     """
     own, m = model.innovations, len(model.input_names)
     n, n_outputs = own.n_states, len(model.output_names)

@@ -265,10 +265,6 @@ def predicted_ahead(simulator, outputs, horizon, x0=None, *, rows=None, recompos
         Samples that x0 is fitted to; all by default.
     recompose : bool
         False gives harmonics.
-
-    Returns
-    -------
-    predicted : ndarray, shape (n_samples, n_outputs)
     """
     model, u, form = simulator.model, simulator.drive, simulator.form
     Y, seen = simulator.read(outputs), None
@@ -283,7 +279,7 @@ def predicted_ahead(simulator, outputs, horizon, x0=None, *, rows=None, recompos
 
 
 def initial_states(x0, base, n_states, state_names=None):
-    """One initial state a segment.
+    """One initial state a segment, (n_segments, n_states).
 
     Parameters
     ----------
@@ -295,10 +291,6 @@ def initial_states(x0, base, n_states, state_names=None):
     base : TimeBase
     n_states : int
     state_names : sequence of str, optional
-
-    Returns
-    -------
-    states : ndarray, shape (n_segments, n_states)
     """
     n_segments = len(base.segments)
     if isinstance(x0, pd.Series):

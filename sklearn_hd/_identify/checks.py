@@ -83,10 +83,6 @@ def allowed_block_rows(settings, data, asked, *, least=2, words=None):
         Block rows that the reading needs.
     words : (str, str, str), optional
         What a row and a channel are called, and the way out.
-
-    Returns
-    -------
-    block_rows : int
     """
     i, n_inputs, n_outputs = asked, data.n_inputs, data.n_outputs
     if settings.block_rows is None:
@@ -144,10 +140,6 @@ def rows_of_predictor(data, first, size, settings):
         Block rows of the shortest predictor tried.
     size : ndarray, shape (n_inputs + n_outputs,)
     settings : Settings
-
-    Returns
-    -------
-    block_rows : int
     """
     n_inputs, n_outputs, lengths = data.n_inputs, data.n_outputs, data.lengths
     lifted = data.facts.basis.reading == "period"  # inputs act at once, all directions excited

@@ -43,7 +43,7 @@ def asked_block_rows(basis, settings):
 
 
 def identify(data, settings, experiment=None):
-    """Identify a model from samples.
+    """Identify a model from samples: a SubspaceFit.
 
     Parameters
     ----------
@@ -51,10 +51,6 @@ def identify(data, settings, experiment=None):
     settings : Settings
     experiment : Experiment, optional
         Where data are in memory; a record too short for dynamics then has a static gain.
-
-    Returns
-    -------
-    fit : SubspaceFit
     """
     i = _block_rows(data, settings)
     check_motion(data.facts)

@@ -27,11 +27,7 @@ AT_HAND = 2**26  # bytes that a process has at hand
 
 
 class KeptSums:
-    """Products of records, and what is made of them, from a cache.
-
-    Parameters
-    ----------
-    memory : str or joblib.Memory
+    """Products of records, and what is made of them, from a cache: a folder or a joblib.Memory.
 
     Raises
     ------

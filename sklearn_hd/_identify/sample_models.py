@@ -381,10 +381,6 @@ class Choice:
         Products of states and inputs are further inputs, those of another one refined, or where
         they pay (None) and the linear predictor knows no more than they do: else states or
         harmonics are missing.
-
-        Returns
-        -------
-        refined : Refined
         """
         start = innovations.filtered(self._noise(innovations))
         return self.after_steps(start, stable, like)

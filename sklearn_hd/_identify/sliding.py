@@ -43,7 +43,7 @@ def read(experiment, settings):
 
 
 def identify(data, settings, experiment=None):
-    """Identify a model of windowed coefficients, row by row.
+    """Identify a model of windowed coefficients, row by row: a SubspaceFit.
 
     Parameters
     ----------
@@ -51,10 +51,6 @@ def identify(data, settings, experiment=None):
     settings : Settings
     experiment : Experiment, optional
         Where data are in memory; more ways to an exact model are then tried.
-
-    Returns
-    -------
-    fit : SubspaceFit
     """
     basis = data.facts.basis
     asked, least = asked_block_rows(basis, settings), basis.window_rows + 2
@@ -206,9 +202,7 @@ def changes_at_one_phase(experiment):
 def largest_changes(basis, drive, time):
     """Largest change of each input from one sample to the next, by the phase of the latter.
 
-    Returns
-    -------
-    changes : ndarray, shape (samples_per_period, m)
+    Shape (samples_per_period, m).
     """
     changes = np.zeros((basis.samples_per_period, drive.shape[1]))
     np.maximum.at(changes, basis.phase_index(time)[1:], np.abs(np.diff(drive, axis=0)))
@@ -245,9 +239,7 @@ def n_modulating_harmonics(basis, lengths, n_inputs):
 def modulated(basis, drive, time, rows, highest):
     """One segment's inputs times the harmonic functions of ψ, as seen in the rows.
 
-    Returns
-    -------
-    modulated : ndarray, shape (n_rows, m (2 highest + 1))
+    Shape (n_rows, m (2 highest + 1)).
     """
     psi = 2.0 * np.pi * basis.phase_index(time) / basis.samples_per_period
     seen = []

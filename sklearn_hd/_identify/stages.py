@@ -130,10 +130,6 @@ def decompose(data, block_rows, size, settings, choose=None):
     settings : Settings
     choose : callable, optional
         ``choose(found, bound)`` gives the order; the gap of the singular values by default.
-
-    Returns
-    -------
-    decomposition : Decomposition
     """
     columns, m = n_hankel_columns(data.lengths, block_rows), data.n_inputs
     lifted = data.facts.basis.reading == "period"

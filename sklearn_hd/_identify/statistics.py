@@ -175,17 +175,12 @@ class _Data:
     most_block_rows = np.inf
 
     def scales(self, scale):
-        """What channels are divided by: those projected, and (drive, outputs).
+        """What channels are divided by: projected, (n_inputs + n_outputs,), and (drive, outputs).
 
         Parameters
         ----------
         scale : bool
             False leaves the drive and the outputs in their units.
-
-        Returns
-        -------
-        size : ndarray, shape (n_inputs + n_outputs,)
-        scales : tuple of ndarray, shapes (n_drive,), (n_outputs,)
         """
         size, drive = self.root_mean_squares(), self.drive_sizes()
         if not scale:

@@ -131,12 +131,8 @@ class PeriodicModel:
     def time_invariant(self, basis):
         """Harmonic decomposition between the coefficients that a basis keeps (Eq. 8).
 
-        Where the outputs are the states, the coefficients kept are the states, too.
-
-        Returns
-        -------
-        A, B, C, D : ndarray
-        state_names : tuple of str
+        A, B, C, D and the names of the states. Where the outputs are the states, the coefficients
+        kept are the states, too.
         """
         N, states = self._states_kept(basis)
         labels = [f"{x}_{k}" for k in harmonic_labels(range(N + 1)) for x in self.state_names]

@@ -56,10 +56,6 @@ def match_affine(model, experiment, structure, settings):
     structure : MatrixStructure, HarmonicStructure or None
         None leaves the model as it is.
     settings : MatchSettings
-
-    Returns
-    -------
-    match : Match
     """
     if structure is None:
         return _unchanged(model)
@@ -168,7 +164,7 @@ def _check_record(periodic, experiment, error):
 
 
 def read_weights(name, given, channels):
-    """Positive numbers by channel; what is not named in a dict weighs 1.
+    """Array of positive numbers by channel; what is not named in a dict weighs 1.
 
     Parameters
     ----------
@@ -176,10 +172,6 @@ def read_weights(name, given, channels):
         Of the parameter, for messages.
     given : None, number, sequence or mapping
     channels : sequence of str
-
-    Returns
-    -------
-    weights : ndarray, shape (n_channels,)
     """
     channels = list(channels)
     allowed = "a positive number, one for each channel, or a dict of them by channel"
@@ -308,10 +300,6 @@ def match_samples(model, experiment, structure, settings):
     structure : MatrixStructure, HarmonicStructure or None
         None leaves the model as it is.
     settings : MatchSettings
-
-    Returns
-    -------
-    match : Match
     """
     if isinstance(structure, HarmonicStructure) or not model.time_invariant:
         match = _periodic(model, experiment, structure)

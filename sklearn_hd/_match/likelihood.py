@@ -51,10 +51,6 @@ def match_likelihood(match, structure, experiment, settings, opinion):
     settings : MatchSettings
     opinion : Opinion or None
         The second opinion of the record.
-
-    Returns
-    -------
-    match : Match
     """
     if match.structure is None:
         raise ValueError(
@@ -196,7 +192,7 @@ def _structures(match, structure, open_to):
 
 
 def _refine_harmonics(match, structure, open_to, data, settings):
-    """A periodic structure with as many harmonics as the data show.
+    """The fit of a periodic structure with as many harmonics as the data show.
 
     From the number of the start up and down, as long as Akaike's criterion falls: first
     of F (of P in Floquet coordinates), then of G. It takes a harmonic too many now and then,
@@ -215,10 +211,6 @@ def _refine_harmonics(match, structure, open_to, data, settings):
         Names of the matrices whose number of harmonics is chosen.
     data : RecordData
     settings : MatchSettings
-
-    Returns
-    -------
-    fit : Fit
     """
     start, of_counts = match.periodic, _structures(match, structure, open_to)
     highest = int(np.ceil(data.n_phases / 2.0)) - 1
@@ -314,7 +306,7 @@ def warn_unidentified(result):
 
 
 def match_free(model, experiment, settings):
-    """A discrete model refined, every entry of its matrices free.
+    """The match of a discrete model refined, every entry of its matrices free.
 
     Parameters
     ----------
@@ -322,10 +314,6 @@ def match_free(model, experiment, settings):
         Of rows, or of samples at their azimuths.
     experiment : Experiment
     settings : MatchSettings
-
-    Returns
-    -------
-    match : Match
     """
     of_samples = isinstance(model, SampleModel)
     start = model if of_samples else _as_samples(model)

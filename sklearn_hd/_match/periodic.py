@@ -60,10 +60,6 @@ def match_periodic(model, experiment, structure, simulated=True):
     structure : HarmonicStructure
     simulated : bool
         Whether the model is the one that will be simulated: False before it is refined.
-
-    Returns
-    -------
-    match : Match
     """
     found = realize(model, experiment, structure)
     warn_coordinates(found.model)
@@ -76,7 +72,7 @@ def match_periodic(model, experiment, structure, simulated=True):
 
 
 def realize(model, experiment, structure):
-    """Periodic model behind a period-synchronous one, in closed form.
+    """The realization of the periodic model behind a period-synchronous one, in closed form.
 
     Parameters
     ----------
@@ -84,10 +80,6 @@ def realize(model, experiment, structure):
         Discrete, from one period to the next.
     experiment : Experiment
     structure : HarmonicStructure
-
-    Returns
-    -------
-    realization : Realization
 
     Raises
     ------
@@ -284,7 +276,7 @@ def state_outputs(structure, names, n, choices, determined):
 
 
 def output_shapes(model, experiment, scale, states=None):
-    """Mode shapes of the outputs, in parts of their scale.
+    """Mode shapes of the outputs (FloquetShapes), in parts of their scale.
 
     Parameters
     ----------
@@ -294,10 +286,6 @@ def output_shapes(model, experiment, scale, states=None):
     scale : ndarray, shape (n_outputs,)
     states : list of ndarray, shapes (n_periods_s, n), optional
         At the beginning of each period, from :func:`predictor_states`; else simulated.
-
-    Returns
-    -------
-    shapes : FloquetShapes
 
     Raises
     ------

@@ -230,10 +230,6 @@ class HarmonicBasis:
         rows : ndarray of int, shape (n_rows,)
             Rows nearer to an end than the window reaches take the nearest
             whole window; read by periods, the period that the row is in.
-
-        Returns
-        -------
-        coefficients : ndarray, shape (n_rows, n_coefficients)
         """
         ends = self.window_ends(time, rows)
         unique, where = np.unique(ends, return_inverse=True)
@@ -255,10 +251,6 @@ class HarmonicBasis:
             Trim subtracted.
         time : ndarray, shape (n_samples,)
         rows : ndarray of int, shape (n_rows,)
-
-        Returns
-        -------
-        coefficients : ndarray, shape (n_rows, n_coefficients)
         """
         columns = self.coefficients(outputs, time, self.outputs, rows)
         start = 0
@@ -328,9 +320,7 @@ class HarmonicBasis:
     def recomposition(self, psi):
         """Matrices R(ψ) that take the outputs' coefficients to the kept signals (Eq. 7).
 
-        Returns
-        -------
-        R : ndarray, shape (n_samples, n_signals, n_coefficients)
+        Shape (n_samples, n_signals, n_coefficients).
         """
         blocks = [harmonic_functions(psi, harmonics) for _, harmonics in self.outputs]
         width = sum(block.shape[-1] for block in blocks)

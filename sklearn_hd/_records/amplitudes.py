@@ -220,10 +220,6 @@ def extrapolation_weights(amplitudes):
     amplitudes : array_like, shape (n_records,)
         Signed, none of them zero.
 
-    Returns
-    -------
-    weights : ndarray, shape (n_records,)
-
     Examples
     --------
     >>> extrapolation_weights([1.0, -1.0]).tolist()

@@ -30,10 +30,6 @@ def with_trim(basis, signals, outputs, trim_span):
         Inputs.
     outputs : ndarray, shape (n_rows, n_outputs), or None
     trim_span : (float, float), "auto" or None
-
-    Returns
-    -------
-    basis : HarmonicBasis
     """
     span = None if trim_span is None else check_span("trim_span", trim_span, AUTO)
     samples = basis.reading == "sample"  # which identifies its forced response with the dynamics

@@ -138,17 +138,7 @@ class ModeChoice:
 
 
 def identified_modes(model, experiment):
-    """The modes of a discrete model, in Floquet families where they were seen through a window.
-
-    Parameters
-    ----------
-    model : LTIModel
-    experiment : Experiment
-
-    Returns
-    -------
-    modes : IdentifiedModes
-    """
+    """The modes of a discrete model, in Floquet families where they were seen through a window."""
     z, V = np.linalg.eig(model.A)
     z, exponents = z.astype(complex), continuous_poles(z, model.dt)
     longest = max(segment.stop - segment.start for segment in experiment.base.segments)
@@ -177,10 +167,6 @@ def choose_modes(modes, experiment, n_states=None):
     experiment : Experiment
     n_states : int, optional
         The best set of so many states instead.
-
-    Returns
-    -------
-    choice : ModeChoice
 
     Raises
     ------
@@ -240,10 +226,6 @@ def without_trifles(rankings, nothing):
         Of each size in turn, from :func:`best_modes`.
     nothing : float
         Sum of squares that is next to nothing.
-
-    Returns
-    -------
-    ranking : list of (float, tuple of int)
     """
     last = rankings[-1] if rankings else []
     small = [r for r in rankings if r and r[0][0] <= nothing]

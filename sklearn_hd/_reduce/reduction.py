@@ -159,7 +159,7 @@ class Reduction:
 
 
 def reduced(model, experiment, method, n_states=None):
-    """The genuine part of a model, in continuous time.
+    """The reduction of a model to its genuine part, in continuous time.
 
     Parameters
     ----------
@@ -167,10 +167,6 @@ def reduced(model, experiment, method, n_states=None):
     experiment : Experiment
     method : {"truncate", "residualize", "both"}
     n_states : int, optional
-
-    Returns
-    -------
-    reduction : Reduction
     """
     reason = "already continuous" if model.dt == 0.0 else experiment.basis.nothing_spurious
     if reason is not None:

@@ -82,17 +82,7 @@ def export_model(model, path, *, n_phases=64):
 
 
 def ltp_contents(system, n_phases=64):
-    """Contents of a file for a periodic system, by name.
-
-    Parameters
-    ----------
-    system : LTPSystem
-    n_phases : int
-
-    Returns
-    -------
-    contents : dict
-    """
+    """Contents of a file for an LTPSystem at so many phases of the period, by name."""
     n_phases = check_count("n_phases", n_phases, 1, "64 is usual")
     matrices = {name: getattr(system, name) for name in "FGPQ"}
     psi = 2.0 * np.pi * np.arange(n_phases + 1) / n_phases
@@ -108,16 +98,7 @@ def ltp_contents(system, n_phases=64):
 
 
 def lti_contents(model):
-    """Contents of a file for a time-invariant model, by name.
-
-    Parameters
-    ----------
-    model : control.StateSpace
-
-    Returns
-    -------
-    contents : dict
-    """
+    """Contents of a file for a control.StateSpace, by name."""
     if model.dt is None or model.dt is True:
         raise ValueError(
             f"the model has dt={model.dt}, which is not a sample time; give it one in seconds, or "

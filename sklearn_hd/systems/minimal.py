@@ -47,18 +47,7 @@ _NAME = re.compile(r"(?P<signal>.+)_(?P<label>0|[1-9]\d*[cs])")
 
 
 def minimal_model(system, n_copies, n_output_harmonics):
-    """Controllable and observable model of the base modes and some copies, and its loss.
-
-    Parameters
-    ----------
-    system : LTPSystem
-    n_copies, n_output_harmonics : int
-
-    Returns
-    -------
-    model : control.StateSpace
-    loss : float
-    """
+    """Controllable and observable StateSpace of the base modes and some copies, and its loss."""
     units, families = state_units(system.F), _families(system)
     wanted = [_with_copies(family, n_copies, system.omega) for family in families]
     kept = _converged(system, units, np.concatenate(wanted), n_output_harmonics, max(n_copies, 2))

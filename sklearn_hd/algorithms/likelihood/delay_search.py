@@ -166,6 +166,8 @@ def scanned(samples, free, most, cost):
 def through_cells(cells, fit):
     """The most likely fit whose delays lie in their cells, from some cells to those beside them.
 
+    It comes with its cells.
+
     Parameters
     ----------
     cells : Cells
@@ -173,11 +175,6 @@ def through_cells(cells, fit):
     fit : callable
         ``fit(cells, before)`` searches within some cells, from where the best fit before ended
         (None at first), and gives that fit, cells at its values, and its cost a value.
-
-    Returns
-    -------
-    fit : object
-    cells : Cells
     """
     seen, ahead, best = set(), [cells], (None, cells, np.inf)
     while ahead and len(seen) < MOST_CELLS:
@@ -192,7 +189,7 @@ def through_cells(cells, fit):
 
 
 def most_likely(cells, most, cost, alike, search):
-    """The most likely fit, from all minima of a scan.
+    """The most likely fit, from all minima of a scan, and its cells.
 
     Parameters
     ----------
@@ -205,11 +202,6 @@ def most_likely(cells, most, cost, alike, search):
     alike, search : callable
         As for :func:`through_cells`; the first with outputs weighed alike (one that is met before
         the others would hold the delays where they are) and from the start, the second from there.
-
-    Returns
-    -------
-    fit : object
-    cells : Cells
     """
     free, starts = cells.fractions.free, [cells]
     if len(free):

@@ -72,11 +72,7 @@ class ExponentBound:
         return fisher_information(self.form, self.theta, segments, self.sigma)
 
     def std(self, segments):
-        """Smallest standard deviations of the exponents.
-
-        Parameters
-        ----------
-        segments : list of (inputs, outputs, where)
+        """Smallest standard deviations of exponents that segments (inputs, outputs, where) allow.
 
         Returns
         -------

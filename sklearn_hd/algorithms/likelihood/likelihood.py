@@ -380,7 +380,7 @@ def updated_factor(factor, columns):
 
 
 def eliminate_states(factors, n0):
-    """Take the projection on the initial states out of whitened factors.
+    """The LinearSystem of whitened factors, the projection on the initial states taken out.
 
     Parameters
     ----------
@@ -388,10 +388,6 @@ def eliminate_states(factors, n0):
         Of each segment.
     n0 : int
         Columns of x0: n, or 0.
-
-    Returns
-    -------
-    system : LinearSystem
     """
     width = factors[0].shape[1] - n0
     R, squares, states, promised = np.zeros((0, width)), np.zeros(width - 1), [], 0.0
@@ -424,16 +420,11 @@ def likelihood_problem(form, segments, sigma=None, correlated=False):
 
 
 def is_white(left, lags):
-    """Whether residuals look like white noise over some lags, each output by itself.
+    """Whether residuals (n_samples, l) look like white noise over some lags, each output by itself.
 
     With ρ_k the autocorrelation at lag k of n samples, n Σ ρ_k² has mean L and variance
     2 L over L lags of white noise (Box and Pierce, 1970); four spreads above the mean it
     is none.
-
-    Parameters
-    ----------
-    left : ndarray, shape (n_samples, l)
-    lags : int
 
     Examples
     --------

@@ -100,10 +100,6 @@ def innovation_filter(response, record, sigma, input_sigma):
         Standard deviations of the outputs' noise.
     input_sigma : ndarray, shape (m,)
         Those of the inputs' noise.
-
-    Returns
-    -------
-    filter : InnovationFilter
     """
     n, n_samples = response.n_states, len(record.inputs)
     phase = record.first_phase + np.arange(n_samples)

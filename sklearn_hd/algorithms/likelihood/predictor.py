@@ -291,7 +291,8 @@ def _varying(A, forcing, x0):
 def sensitivities(rows, inputs, states, residuals, functions, loads, *, feedthrough):
     """Derivatives of predictions by the Fourier coefficients of [A B a; C D c] and K.
 
-    One-step predictions; of a model without a gain, simulated outputs.
+    Shape (n_samples, l, n_parameters). One-step predictions; of a model without a gain, simulated
+    outputs.
 
     Parameters
     ----------
@@ -302,10 +303,6 @@ def sensitivities(rows, inputs, states, residuals, functions, loads, *, feedthro
         1, cos ψ, sin ψ, …, of the matrices, and of a and c (none where they are not fitted).
     feedthrough : bool
         Whether D was fitted.
-
-    Returns
-    -------
-    sensitivities : ndarray, shape (n_samples, l, n_parameters)
     """
     signals = inputs, states, residuals
     pairs = regressors_of(rows, *signals, functions, loads, feedthrough=feedthrough)
@@ -388,10 +385,6 @@ def sensitivity_sums(rows, pairs, directions):
     pairs : list of (ndarray, ndarray)
         From :func:`regressors_of`.
     directions : ndarray, shape (n_samples, l)
-
-    Returns
-    -------
-    sums : ndarray, shape (n_parameters,)
     """
     n, w = rows.n_states, directions[..., None]
     back = rows.predicting.transpose(0, 2, 1)[::-1]
@@ -403,7 +396,7 @@ def sensitivity_sums(rows, pairs, directions):
 
 
 def of_each_output(regressors, weights, out=None):
-    """Regressors for each output by itself; weights then combine the outputs.
+    """Regressors (n_samples, a, l q) for each output by itself; weights then combine the outputs.
 
     Parameters
     ----------
@@ -411,10 +404,6 @@ def of_each_output(regressors, weights, out=None):
     weights : ndarray, shape (a, l) or (n_samples, a, l)
     out : ndarray, optional
         To write them to.
-
-    Returns
-    -------
-    regressors : ndarray, shape (n_samples, a, l q)
     """
     shape = len(regressors), *weights.shape[-2:], regressors.shape[1]
     out = np.empty((*shape[:2], shape[2] * shape[3])) if out is None else out

@@ -49,7 +49,7 @@ def span_of(columns):
 
 
 def score_test(residuals, regressors, span):
-    """Whether residuals go with regressors, beyond what a span of directions takes away.
+    """Score of whether residuals go with regressors, beyond what a span of directions takes away.
 
     Parameters
     ----------
@@ -58,10 +58,6 @@ def score_test(residuals, regressors, span):
     regressors : ndarray, shape (n_samples, l, q)
     span : ndarray, shape (n_samples * l, r)
         Orthonormal: of the sensitivities to parameters.
-
-    Returns
-    -------
-    score : Score
 
     References
     ----------
@@ -105,15 +101,13 @@ def lagged(signal, lags):
 def past(signal, edges):
     """Sums of a signal over intervals of its past, zeros before its start.
 
+    Shape (n_samples, n_signals * n_intervals).
+
     Parameters
     ----------
     signal : ndarray, shape (n_samples, n_signals)
     edges : ndarray of int, shape (n_intervals + 1,)
         Rows back, rising from 0, the row itself.
-
-    Returns
-    -------
-    sums : ndarray, shape (n_samples, n_signals * n_intervals)
 
     Examples
     --------
@@ -132,17 +126,13 @@ def times(regressors, functions):
 
 
 def autoregression(segments, most):
-    """Coefficients of e[k] = Σ_j Φ_j e[k−j] + white noise, of the order with the least AIC.
+    """Φ (order, l, l) of e[k] = Σ_j Φ_j e[k−j] + white noise, of the order with the least AIC.
 
     Parameters
     ----------
     segments : list of ndarray, shapes (n_samples_s, l)
     most : int
         Highest order.
-
-    Returns
-    -------
-    Phi : ndarray, shape (order, l, l)
     """
     n_outputs = segments[0].shape[1]
     late = np.vstack([lagged(e, range(1, most + 1)) for e in segments])

@@ -221,7 +221,7 @@ class Parts:
         return covariance @ meat @ covariance
 
     def compared(self, covariance, gradients, excess):
-        """What each part would have some quantities be, against each other.
+        """Comparison of what the parts would have some quantities be, against each other.
 
         Parameters
         ----------
@@ -231,10 +231,6 @@ class Parts:
             Of the quantities.
         excess : ndarray, shape (r,)
             Their variance in parts of that of white noise.
-
-        Returns
-        -------
-        comparison : Comparison
         """
         v = gradients @ covariance
         size = np.einsum("rk,rk->r", v, gradients)
@@ -270,17 +266,13 @@ class Comparison:
 
 
 def part_scores(result, divisions):
-    """Scores and information of the parts of several divisions of a record.
+    """Parts by the name of each of several divisions of a record: their scores and information.
 
     Parameters
     ----------
     result : LikelihoodResult
     divisions : dict of list of ndarray of int, shapes (n_samples,)
         Part of each row of each record.
-
-    Returns
-    -------
-    parts : dict of Parts
     """
     problem, point, system = result.problem, result.point, result.system
     width = system.R.shape[1]

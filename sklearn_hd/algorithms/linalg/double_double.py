@@ -115,17 +115,7 @@ def _fast_two_sum(large, small):
 
 
 def slices(values, count):
-    """Values up to one in size, cut into slices of 18 bits; the rest is left out.
-
-    Parameters
-    ----------
-    values : ndarray
-    count : int
-
-    Returns
-    -------
-    parts : ndarray, shape (count, *values.shape)
-    """
+    """Values up to one in size in slices of 18 bits, (count, *shape); the rest is left out."""
     parts = np.empty((count, *np.shape(values)))
     rest = np.array(values, dtype=float)
     for q in range(count):
@@ -159,7 +149,7 @@ def all_slices(values):
 
 
 def product(left, right, exact):
-    """leftᵀ right over common rows, of entries up to one in size.
+    """leftᵀ right over common rows, of entries up to one in size: a Pair.
 
     Parameters
     ----------
@@ -167,10 +157,6 @@ def product(left, right, exact):
         n up to 2¹⁷.
     exact : bool
         In double-double, without rounding.
-
-    Returns
-    -------
-    product : Pair, shape (r, s)
     """
     if not exact:
         return Pair(left.T @ right)

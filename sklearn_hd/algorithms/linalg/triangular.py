@@ -12,13 +12,7 @@ TOLERATED_LOSS = 1e-7  # far below what noise does, 1/√n, to as many rows as f
 def triangle(*stacked):
     """R factor of matrices stacked, some of them perhaps R factors of others.
 
-    Parameters
-    ----------
-    *stacked : ndarray, shapes (n_s, r)
-
-    Returns
-    -------
-    R : ndarray, shape (min(Σ n_s, r), r)
+    Of matrices (n_s, r), the factor (min(Σ n_s, r), r).
 
     Examples
     --------
@@ -49,10 +43,6 @@ def safe_cholesky(G, rounding=EPS, overwrite=False):
         Of its entries, beside the lengths of columns.
     overwrite : bool, default=False
         Whether R may take the place of G.
-
-    Returns
-    -------
-    R : ndarray, shape (r, r), or None
     """
     squares = np.diagonal(G)
     if not np.all(squares > 0.0):  # less than zero by rounding, where columns hold next to nothing
@@ -130,10 +120,6 @@ def svd_within_rank(matrix, rank=DEPENDENT, largest=None):
         Share of the largest singular value, or of ``largest``, down to which they are left out.
     largest : float, optional
 
-    Returns
-    -------
-    U, s, Vt : ndarray, shapes (n_rows, r), (r,), (r, n_columns)
-
     Examples
     --------
     >>> svd_within_rank(np.array([[3.0, 3.0], [4.0, 4.0]]))[1].round(6).tolist()
@@ -156,10 +142,6 @@ def solve_within_rank(X, Y, size=None, cond=DEPENDENT):
         column that is nothing but rounding beside them is left out.
     cond : float
         Share of the largest singular value, below which the others count as zero.
-
-    Returns
-    -------
-    Z : ndarray, shape (p, q) or (p,)
 
     Examples
     --------

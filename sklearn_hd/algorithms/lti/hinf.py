@@ -107,7 +107,7 @@ _BRACKET = 1e-3  # how far AB13DD's peak may lie from the top, relative
 
 
 def refine_peaks(gains, low, high, rounds=3):
-    """Tops of a gain between some bounds, to about ten digits of their height after three rounds.
+    """Tops of a gain between bounds: frequencies, and heights to ten digits after three rounds.
 
     Parameters
     ----------
@@ -116,10 +116,6 @@ def refine_peaks(gains, low, high, rounds=3):
     low, high : ndarray, shape (n_peaks,)
     rounds : int
         Times that the bounds close in on the top, by a factor of four.
-
-    Returns
-    -------
-    frequencies, values : ndarray, shape (n_peaks,)
     """
     rows = np.arange(len(low))
     for _ in range(rounds):

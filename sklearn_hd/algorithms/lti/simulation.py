@@ -120,12 +120,6 @@ def simulate(A, B, C, D, inputs, x0):
     inputs of the block, and so is the state after it; only states at the starts of blocks are
     found one after the other.
 
-    Parameters
-    ----------
-    A, B, C, D : ndarray, shapes (n, n), (n, m), (l, n), (l, m)
-    inputs : ndarray, shape (n_samples, m)
-    x0 : ndarray, shape (n,)
-
     Returns
     -------
     outputs : ndarray, shape (n_samples, l)
@@ -189,7 +183,7 @@ def _outputs_block(n_states, n_inputs, n_outputs, n_samples):
 
 
 def continuous_to_discrete(A, B, dt):
-    """Zero-order-hold equivalent of (A, B) at sample time dt.
+    """Zero-order-hold equivalent (A_d, B_d) of (A, B) at sample time dt.
 
     Parameters
     ----------
@@ -197,11 +191,6 @@ def continuous_to_discrete(A, B, dt):
     B : ndarray, shape (n, m)
     dt : float
         Sample time in seconds.
-
-    Returns
-    -------
-    A_d : ndarray, shape (n, n)
-    B_d : ndarray, shape (n, m)
     """
     n, m = B.shape
     block = np.zeros((n + m, n + m), dtype=np.result_type(A, B, float))
@@ -279,17 +268,13 @@ def logarithm(matrix):
 
 
 def frequency_response(A, B, C, D, s):
-    """Transfer matrix C (sI − A)⁻¹ B + D at some points of the complex plane.
+    """Transfer matrices C (sI − A)⁻¹ B + D, (n_points, l, m), at some points of the complex plane.
 
     Parameters
     ----------
     A, B, C, D : ndarray, shapes (n, n), (n, m), (l, n), (l, m)
     s : array_like of complex, shape (n_points,)
         s = jω (continuous) or z = e^{jω dt} (discrete).
-
-    Returns
-    -------
-    response : complex ndarray, shape (n_points, l, m)
     """
     s = np.atleast_1d(np.asarray(s, dtype=complex))
     n = A.shape[0]
@@ -310,7 +295,7 @@ def continuous_poles(z, dt):
 
 
 def step_response(A, B, C, D, step, count, *, dt=0.0, impulse=False):
-    """Response to a step of one unit in each input, or to an impulse of area one.
+    """Response (count, l, m) to a step of one unit in each input, or to an impulse of area one.
 
     In continuous time (dt = 0), by the zero-order hold that is exact for a step:
 
@@ -330,10 +315,6 @@ def step_response(A, B, C, D, step, count, *, dt=0.0, impulse=False):
     dt : float, default=0.0
         Sample time; 0 in continuous time.
     impulse : bool, default=False
-
-    Returns
-    -------
-    response : ndarray, shape (count, l, m)
     """
     discrete, held = (A, B) if dt else continuous_to_discrete(A, B, step)
     first = (held / dt if dt else B) if impulse else np.zeros(B.shape)
@@ -435,17 +416,13 @@ def block_diagonal(A, B, C, slow, fast):
 
 
 def residualize(A, B, C, D, slow, fast):
-    """Slow modes of a continuous-time model, the fast ones replaced by their static gain.
+    """Slow modes A, B, C, D of a continuous-time model, fast ones replaced by their static gain.
 
     Parameters
     ----------
     A, B, C, D : ndarray
     slow, fast : complex ndarray
         All eigenvalues of A, in two conjugate-closed groups; no fast one is zero.
-
-    Returns
-    -------
-    A, B, C, D : ndarray
 
     Examples
     --------

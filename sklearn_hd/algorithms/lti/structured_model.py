@@ -206,10 +206,6 @@ def column_sizes(matrix):
 class TriangularForm:
     """(sI − A)⁻¹ B and C (sI − A)⁻¹ at many points.
 
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-
     Attributes
     ----------
     poles : complex ndarray, shape (n,)

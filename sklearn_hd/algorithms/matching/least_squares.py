@@ -168,10 +168,6 @@ def levenberg_marquardt(problem, theta, *, shift=0.0, max_iter=100):
         α in rad/s.
     max_iter : int
         Largest number of Jacobians.
-
-    Returns
-    -------
-    fit : GridFit
     """
     residual, jacobian = problem.residual_and_jacobian(theta, shift)
     cost, damping, growth = residual @ residual, 1e-3, 2.0
@@ -264,10 +260,6 @@ def local_fits(problem, starts, *, max_iter, near):
         Largest number of steps from each.
     near : float
         Relative residual that counts as an exact match except for rounding.
-
-    Returns
-    -------
-    fits : list of GridFit
 
     Raises
     ------

@@ -31,12 +31,8 @@ _OWN = 10.0  # times the fastest pole of G_s to begin with
 def channel_scales(response):
     """Factors of outputs and inputs that make a response's channels equally large.
 
-    Rows and columns are brought in turn to the same root mean square over frequency
-    (Sinkhorn's iteration on the squared sizes).
-
-    Parameters
-    ----------
-    response : complex ndarray, shape (n_points, l, m)
+    Of a response (n_points, l, m). Rows and columns are brought in turn to the same root mean
+    square over frequency (Sinkhorn's iteration on the squared sizes).
 
     Returns
     -------

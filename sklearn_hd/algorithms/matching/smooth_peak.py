@@ -267,7 +267,7 @@ class SmoothDescent:
 
 
 def smooth_descent(problem, theta, *, first=3.0, gap=GAP, max_iter=150):
-    """Parameters of a low H∞ matching error, reached through smooth bounds of it.
+    """SmoothDescent to parameters of a low H∞ matching error, through smooth bounds of it.
 
     Parameters
     ----------
@@ -280,10 +280,6 @@ def smooth_descent(problem, theta, *, first=3.0, gap=GAP, max_iter=150):
         Distance of t from the norm, relative, at which to stop.
     max_iter : int
         Largest number of Newton steps.
-
-    Returns
-    -------
-    descent : SmoothDescent
 
     References
     ----------

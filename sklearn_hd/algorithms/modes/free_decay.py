@@ -111,15 +111,8 @@ def periods_at_rest(inputs):
 def smooth_parts(decays):
     """Cosines of each period and output, without the fast ones that hold noise alone.
 
-    What a motion costs in parameters falls with the columns, so weaker motions can be told.
-
-    Parameters
-    ----------
-    decays : list of ndarray, shapes (n_periods_s, samples_per_period, l)
-
-    Returns
-    -------
-    parts : list of ndarray, shapes (n_periods_s, q)
+    Of decays (n_periods_s, samples_per_period, l), parts (n_periods_s, q). What a motion costs in
+    parameters falls with the columns, so weaker motions can be told.
     """
     if not decays:
         return []
@@ -140,16 +133,14 @@ def smooth_parts(decays):
 def offsets(decays, multipliers=()):
     """What each decay has of its own: a constant, which its level is off by, and other motions.
 
+    Columns (n_periods_s, c).
+
     Parameters
     ----------
     decays : list of ndarray, n_periods_s rows each
     multipliers : complex array_like
         Of motions beside those of the modes, as a nonlinear response has them. They are left out
         if the decays are too few periods for so many columns.
-
-    Returns
-    -------
-    columns : list of ndarray, shapes (n_periods_s, c)
     """
     first = np.asarray(multipliers, dtype=complex)
     first = first[first.imag >= 0.0]
@@ -181,10 +172,6 @@ def free_decay(decays, order=None, compare=True):
         So many modes.
     compare : bool
         Whether to compare with the decays without their first periods.
-
-    Returns
-    -------
-    found : FreeDecay or None
     """
     if not decays:
         return None
@@ -270,10 +257,6 @@ def is_product(logs, factors, tolerance):
     tolerance : ndarray, shape (n,)
         How far from a sum a logarithm may be, apart from multiples of 2πj.
 
-    Returns
-    -------
-    product : ndarray of bool, shape (n,)
-
     Examples
     --------
     >>> is_product(np.array([-0.6, -0.8 + 1j, -0.5]), np.array([-0.3, -0.5 + 1j]), 1e-9).tolist()
@@ -303,10 +286,6 @@ def without_products(found, decays):
     found : FreeDecay
     decays : list of ndarray, shapes (n_periods_s, q)
         As for :func:`free_decay`. Of a linear machine such modes would be its own.
-
-    Returns
-    -------
-    found : FreeDecay
     """
     ones, stacked = offsets(decays), np.vstack(decays)
     sure, known = _products(found, ALIKE), np.vstack(ones)

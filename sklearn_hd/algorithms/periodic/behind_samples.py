@@ -56,10 +56,6 @@ def behind_samples(innovations, omega):
     omega : float
         rad/s.
 
-    Returns
-    -------
-    model : ContinuousModel
-
     Raises
     ------
     ValueError
@@ -195,17 +191,13 @@ class Turn:
 
 
 def turn_of(innovations, omega):
-    """A discrete periodic model in Floquet form.
+    """The Turn of a discrete periodic model: its Floquet form.
 
     Parameters
     ----------
     innovations : PeriodicInnovations
     omega : float
         rad/s.
-
-    Returns
-    -------
-    turn : Turn
 
     Raises
     ------
@@ -294,6 +286,8 @@ def time_invariant(innovations, omega):
 def input_matrix(F, Gamma, start, omega):
     """G(ψ) of as few harmonics as move the states by Γ_j, held over each of the steps of a turn.
 
+    Its coefficients, (2 K + 1, n, m).
+
     Parameters
     ----------
     F : ndarray, shape (2 K + 1, n, n)
@@ -302,10 +296,6 @@ def input_matrix(F, Gamma, start, omega):
     start : float
         ψ of the first step.
     omega : float
-
-    Returns
-    -------
-    G : ndarray, shape (2 K + 1, n, m)
     """
     (q, n, m), highest = Gamma.shape, len(Gamma) // 2
     structure = PeriodicStructure(turned(F, -start), np.zeros((0, F.size)), n, ())
@@ -336,10 +326,6 @@ def nearest_steps(structure, coefficients, omega, n_phases, weights):
     weights : tuple of ndarray, shapes (n, n), (l, l) and (n + m, n + m)
         Errors of a step's states and of outputs count as the squares of what they and a factor of
         the covariance of states and inputs make of them.
-
-    Returns
-    -------
-    theta : ndarray, shape (k,)
     """
     *lefts, right = weights
     n = structure.n_states

@@ -207,12 +207,7 @@ class NestedLeastSquares:
         self.size, self.seen = np.zeros(0), np.zeros(0)
 
     def extend(self, columns):
-        """Add columns to X.
-
-        Parameters
-        ----------
-        columns : ndarray, shape (n_rows, k)
-        """
+        """Add columns (n_rows, k) to X."""
         size = column_sizes(columns)
         rest, inside = columns / size, np.zeros((len(self.factor), columns.shape[1]))
         for _ in range(2):

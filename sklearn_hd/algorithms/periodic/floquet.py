@@ -196,10 +196,6 @@ def propagate_periodic(Phi, forcing, x0):
         v[k]; the last row is not used.
     x0 : ndarray, shape (..., n)
 
-    Returns
-    -------
-    states : ndarray, shape (..., n_samples, n)
-
     Examples
     --------
     >>> Phi = np.array([[[0.5]], [[2.0]]])

@@ -113,7 +113,7 @@ def solve_harmonic_balance(
 
 
 def evaluate_harmonics(coefficients, psi):
-    """Periodic signals of given real coefficients at any azimuths.
+    """Periodic signals of real coefficients at any azimuths, (*psi.shape, *coefficients.shape[1:]).
 
     e^{j(n+k)ψ} = e^{jnψ} e^{jkψ}: one exponential at each azimuth, for they take time.
 
@@ -123,10 +123,6 @@ def evaluate_harmonics(coefficients, psi):
         In the order 0, 1c, 1s, ….
     psi : array_like, shape (...,)
         Azimuths in radians.
-
-    Returns
-    -------
-    values : ndarray, shape (*psi.shape, *coefficients.shape[1:])
 
     Examples
     --------
@@ -150,12 +146,7 @@ def evaluate_harmonics(coefficients, psi):
 
 
 def sample_harmonics(coefficients, n_points):
-    """Signals of given real coefficients (2 N + 1, n) at n_points equal steps of a period.
-
-    Returns
-    -------
-    samples : ndarray, shape (n, n_points)
-    """
+    """Signals (n, n_points) of given real coefficients (2 N + 1, n) at equal steps of a period."""
     cosines, sines = coefficients[1::2], coefficients[2::2]
     spectrum = np.zeros((n_points // 2 + 1, coefficients.shape[1]), dtype=complex)
     spectrum[0] = coefficients[0]

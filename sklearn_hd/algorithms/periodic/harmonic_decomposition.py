@@ -102,10 +102,6 @@ def toeplitz_matrix(coefficients, n_row_harmonics, n_column_harmonics):
     n_row_harmonics, n_column_harmonics : int
         Harmonics N of y and of x.
 
-    Returns
-    -------
-    T : ndarray, shape ((2 N_y + 1) rows, (2 N_x + 1) columns)
-
     Examples
     --------
     cos ψ turns a constant into a first harmonic, and half of it comes back:
@@ -380,7 +376,7 @@ def nearest_eigenvalues(wanted, found):
 
 
 def split_modes(coefficients, omega, wanted, n_harmonics, n_outputs, n_copies):
-    """Some modes of a harmonic decomposition without the others.
+    """Some modes of a harmonic decomposition without the others, as ModesKept.
 
     Parameters
     ----------
@@ -396,10 +392,6 @@ def split_modes(coefficients, omega, wanted, n_harmonics, n_outputs, n_copies):
         L, harmonics of y that the model has.
     n_copies : int
         K, copies of which reach and shown are told.
-
-    Returns
-    -------
-    kept : ModesKept
 
     Raises
     ------

@@ -42,10 +42,6 @@ def integrate(f, x0, u, t, *, rtol=1e-12, atol=1e-13, first_step=None):
         Longest first step tried in an interval, in seconds; by default the whole
         interval. The error control shortens it where needed.
 
-    Returns
-    -------
-    states : ndarray, shape (n_samples, n)
-
     Raises
     ------
     RuntimeError

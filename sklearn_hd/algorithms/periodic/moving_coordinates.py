@@ -34,10 +34,6 @@ def within(coordinates, others, n_harmonics):
     coordinates, others : ndarray, shapes (2 M + 1, r, n), (2 L + 1, n, k)
     n_harmonics : int
         Kept of the product.
-
-    Returns
-    -------
-    coefficients : ndarray, shape (2 n_harmonics + 1, r, k)
     """
     n_azimuths = len(coordinates) + len(others) + 2 * n_harmonics
     psi = 2.0 * np.pi * np.arange(n_azimuths) / n_azimuths
@@ -64,7 +60,7 @@ def coordinates_without_modes(model, n_harmonics):
 
 
 def without_modes(model, n_harmonics):
-    """The model truncated by each mode or complex pair of modes, its other modes as they are.
+    """Yields the model truncated by each mode or complex pair, its other modes as they are.
 
         z = L(ψ) x,   L V = I, and L is zero on the mode left out
         A ← L(ψ + δ) A V,   B, a, K ← L(ψ + δ) B, a, K,   C ← C V
@@ -74,10 +70,6 @@ def without_modes(model, n_harmonics):
     model : PeriodicInnovations
     n_harmonics : int
         Kept of A, B, C, D and K.
-
-    Yields
-    ------
-    model : PeriodicInnovations
     """
     n, highest = model.n_states, max(n_harmonics, len(model.coefficients) // 2)
     for V, others in _split(model):

@@ -49,10 +49,6 @@ def coleman_matrix(psi, derivative=0):
         Azimuth of blade 1 in radians.
     derivative : int, default=0
 
-    Returns
-    -------
-    t : ndarray, shape (n_points, 3, 3)
-
     Examples
     --------
     >>> coleman_matrix([0.0])[0].round(3).tolist()
@@ -76,10 +72,6 @@ def to_multiblade(matrices, psi, omega, frame):
     omega : float
         Rotor speed in rad/s.
     frame : Frame
-
-    Returns
-    -------
-    A, B, C, D : ndarray, shapes (n_points, rows, columns)
     """
     A, B, C, D = matrices
     T, T_dot, T_u, T_y = _transformations(matrices, psi, omega, frame)

@@ -96,10 +96,6 @@ def without_noise_growth(Phi, directions, lifted):
     ----------
     Phi, directions, lifted
         As for :func:`refine_multipliers`.
-
-    Returns
-    -------
-    Phi : ndarray, shape (n, n)
     """
     free = refine_multipliers(Phi, directions, lifted)
     if np.max(np.abs(linalg.eigvals(free))) <= 1.0:
@@ -373,10 +369,6 @@ def orthonormal_range(columns, beyond=None, rank=DEPENDENT):
     rank : float, default=1.5e-11
         Of columns of length one, what is new in one that counts as independent.
 
-    Returns
-    -------
-    Q : ndarray, shape (n_rows, n_independent)
-
     Examples
     --------
     >>> orthonormal_range(np.array([[2.0, 1.0], [2.0, 1.0]])).round(6).tolist()
@@ -455,14 +447,10 @@ def cost_of_a_state(directions, lifted):
 
 
 def turned_back(Phi):
-    """A map that a periodic system may have: negative real multipliers are even in number.
+    """A map Φ that a periodic system may have: negative real multipliers are even in number.
 
     det Φ = e^{∫ tr F dt} > 0 (Liouville). Noise turns the sign of what a period forgets: of an odd
     number the smallest is turned back.
-
-    Parameters
-    ----------
-    Phi : ndarray, shape (n, n)
 
     Returns
     -------
@@ -523,10 +511,6 @@ def without_noise(Phi, directions, lifted):
     """Lifted outputs as far as inputs and the modes of Φ explain them, whatever O is.
 
     With Φ but roughly right still close to the truth where a period forgets most.
-
-    Returns
-    -------
-    explained : list of ndarray, shapes (n_periods_s, q)
     """
     steps = Phi / max(1.0, np.max(np.abs(linalg.eigvals(Phi))))
     Q = Modes(directions).answers(polynomials(steps))

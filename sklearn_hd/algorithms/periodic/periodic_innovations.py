@@ -204,10 +204,6 @@ class PeriodicInnovations:
         ----------
         noise : ndarray, shape (l + n + l, l + n + l)
             Covariance of e, r and v.
-
-        Returns
-        -------
-        model : PeriodicInnovations
         """
         n, n_outputs, H = self.n_states, self.n_outputs, len(self.gain) // 2
         H = min(H, (self.gain.any(axis=(1, 2)).nonzero()[0][-1] + 1) // 2) if self.gain.any() else 0
@@ -559,10 +555,6 @@ def propagate_varying(A, forcing, start):
     forcing : ndarray, shape (n_samples, n, r), or None
         v; the last row is not used.
     start : ndarray, shape (n, r)
-
-    Returns
-    -------
-    states : ndarray, shape (n_samples, n, r)
 
     Examples
     --------

@@ -152,7 +152,7 @@ def forced_mean(segments, n_harmonics):
 
 
 def spread_rows(lengths, most, n_places=8):
-    """Rows of some segments to look at: all, or pieces that lie evenly over a long record.
+    """Rows (segment, slice) to look at: all, or pieces that lie evenly over a long record.
 
     A long record may begin at rest.
 
@@ -162,10 +162,6 @@ def spread_rows(lengths, most, n_places=8):
     most : int
         Rows in all.
     n_places : int
-
-    Returns
-    -------
-    rows : list of (segment, slice)
     """
     ends = np.cumsum(lengths)
     if ends[-1] <= most:

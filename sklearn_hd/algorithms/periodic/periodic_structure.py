@@ -261,10 +261,6 @@ def evaluated_response(structure, theta, n_points, *, sensitivities):
     theta : array_like, shape (k,)
     n_points : int
     sensitivities : bool
-
-    Returns
-    -------
-    response : SampledResponse
     """
     n, (_, rows, _) = structure.n_states, structure.constant.shape
     coefficients, parts = structure.coefficients(theta), []
@@ -281,7 +277,7 @@ def evaluated_response(structure, theta, n_points, *, sensitivities):
 def sampled_response(
     structure, theta, omega, n_phases, observe=None, *, sensitivities=True, n_points=None
 ):
-    """Transition and output matrices of the samples of one period, and their derivatives.
+    """SampledResponse: transition and output matrices of the samples of a period, and derivatives.
 
     Sample j lies at ψ_j = 2πj / n_phases; inputs are held over the interval that follows.
 
@@ -300,10 +296,6 @@ def sampled_response(
     n_points : int, optional
         Azimuths at which intervals begin, 2πj / n_points; n_phases by default, which else may
         be any number: it is the length of the intervals.
-
-    Returns
-    -------
-    response : SampledResponse
 
     Raises
     ------

@@ -62,10 +62,6 @@ def riccati_triples(A, B, Q, R, S=None):
     Q, R, S : ndarray, shapes (p, n, n), (p, m, m) and (p, n, m)
         R positive definite; S is zero by default.
 
-    Returns
-    -------
-    A, G, H : ndarray, shapes (p, n, n)
-
     Examples
     --------
     >>> one = np.ones((1, 1, 1))
@@ -80,7 +76,7 @@ def riccati_triples(A, B, Q, R, S=None):
 
 
 def hamiltonian_triples(F, E, Q, psi, omega, *, tolerance=1e-14):
-    """Triples of intervals of −Ẋ = Fᵀ X + X F − X E X + Q.
+    """Triples (A, G, H) of intervals of −Ẋ = Fᵀ X + X F − X E X + Q.
 
     Parameters
     ----------
@@ -94,10 +90,6 @@ def hamiltonian_triples(F, E, Q, psi, omega, *, tolerance=1e-14):
         rad/s.
     tolerance : float, default=1e-14
         As for :func:`~sklearn_hd.algorithms.periodic.floquet.transition_matrices`.
-
-    Returns
-    -------
-    A, G, H : ndarray, shapes (p, n, n)
 
     Examples
     --------
@@ -218,10 +210,6 @@ def solve_periodic_riccati(A, G, H):
 
 def solve_periodic_lyapunov(A, H):
     """Periodic solution of X_k = H_k + A_kᵀ X_{k+1} A_k, all multipliers within the unit circle.
-
-    Parameters
-    ----------
-    A, H : ndarray, shapes (p, n, n)
 
     Returns
     -------

@@ -126,10 +126,6 @@ def recompose(coefficients, psi, harmonics):
     psi : array_like, shape (...,)
         Azimuth in radians.
     harmonics : sequence of int
-
-    Returns
-    -------
-    signal : ndarray, shape (...,)
     """
     return np.sum(np.asarray(coefficients) * harmonic_functions(psi, harmonics), axis=-1)
 
@@ -189,17 +185,13 @@ def all_harmonics(values):
 
 
 def fitted_harmonics(parts, n_harmonics):
-    """Fourier coefficients of the mean waveform of signals, by least squares over rows.
+    """Fourier coefficients (2 N + 1, n_signals) of mean waveforms, by least squares over rows.
 
     Parameters
     ----------
     parts : list of (values, psi)
         Shapes (n_rows_s, n_signals), (n_rows_s,); any azimuths in radians.
     n_harmonics : int
-
-    Returns
-    -------
-    coefficients : ndarray, shape (2 n_harmonics + 1, n_signals)
 
     Examples
     --------
@@ -262,11 +254,6 @@ def window_weights(window, samples_per_period):
     periodic signal's coefficients come out exact: ``"boxcar"`` spans one
     period, ``"triangle"`` (a boxcar applied twice) and ``"hann"`` span two.
 
-    Parameters
-    ----------
-    window : {"boxcar", "triangle", "hann"}
-    samples_per_period : int
-
     Returns
     -------
     weights : ndarray, shape (n_window,)
@@ -299,10 +286,6 @@ def windowed_coefficients(signal, psi, harmonics, weights, rows):
         Window, oldest sample first.
     rows : ndarray of int, shape (n_rows,)
         The last sample in each window; each at least ``n_window - 1``.
-
-    Returns
-    -------
-    coefficients : ndarray, shape (n_rows, n_coefficients)
     """
     rows = np.asarray(rows, dtype=int)
     functions = harmonic_functions(psi, harmonics)
@@ -446,14 +429,7 @@ class InputDirections:
     def outside(self, lifted):
         """Share of the energy of some inputs that moves otherwise, and each input's part of it.
 
-        Parameters
-        ----------
-        lifted : list of ndarray, shapes (n_rows_s, n_phases, m)
-
-        Returns
-        -------
-        share : float
-        each : ndarray, shape (m,)
+        Inputs are lifted: a list of shapes (n_rows_s, n_phases, m).
 
         Examples
         --------

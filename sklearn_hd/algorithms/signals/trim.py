@@ -163,13 +163,7 @@ def rests(energy, least=0.5):
 def turns_at_rest(inputs):
     """Whole turns of each segment in which inputs repeat those of the turn before.
 
-    Parameters
-    ----------
-    inputs : list of ndarray, shapes (n_turns_s, samples_per_turn, m)
-
-    Returns
-    -------
-    still : list of ndarray of bool, shapes (n_turns_s,)
+    Of inputs (n_turns_s, samples_per_turn, m), a bool for each turn.
     """
     stacked = np.concatenate(inputs)
     if not len(stacked):

@@ -112,10 +112,6 @@ def n_excited(R, block_rows, n_inputs):
     R : ndarray, shape (2 i (m + l), 2 i (m + l))
         From :func:`hankel_factor`.
     block_rows, n_inputs : int
-
-    Returns
-    -------
-    n_directions : int
     """
     size = 2 * block_rows * n_inputs
     if all_above(R[:size, :size], DEPENDENT):

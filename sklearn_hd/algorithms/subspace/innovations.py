@@ -52,10 +52,6 @@ class InnovationForm:
         outputs : ndarray, shape (n_measured, l)
             Of the first rows; at most the last row may be without.
         x0 : ndarray, shape (n,)
-
-        Returns
-        -------
-        states : ndarray, shape (n_rows, n)
         """
         forcing = inputs @ (self.B - self.K @ self.D).T
         forcing[: len(outputs)] += outputs @ self.K.T
@@ -70,10 +66,6 @@ class InnovationForm:
             As in :meth:`states`.
         horizon : int
             Rows from the last output known to the one predicted, at least 1.
-
-        Returns
-        -------
-        outputs : ndarray, shape (n_rows, l)
         """
         x, forcing = self.states(inputs, outputs, x0), inputs @ self.B.T
         steps = min(horizon, len(x)) - 1
@@ -92,10 +84,6 @@ class InnovationForm:
         inputs, outputs : ndarray, shapes (n_rows, m), (n_rows, l)
         covariance : ndarray, shape (l, l), optional
             Of the innovations, by whose deviations each output counts.
-
-        Returns
-        -------
-        x0 : ndarray, shape (n,)
         """
         n = len(self.A)
         if n == 0:
@@ -131,7 +119,7 @@ def _later(rows, count):
 
 
 def kalman_gain(A, C, observability, R, block_rows, n_inputs, n_columns):
-    """Kalman gain and covariance of the innovations.
+    """Kalman gain K and covariance of the innovations.
 
     Parameters
     ----------
@@ -142,11 +130,6 @@ def kalman_gain(A, C, observability, R, block_rows, n_inputs, n_columns):
     R : ndarray, shape (2 i (m + l), 2 i (m + l))
         From :func:`~sklearn_hd.algorithms.subspace.hankel.hankel_factor`.
     block_rows, n_inputs, n_columns : int
-
-    Returns
-    -------
-    K : ndarray, shape (n, l)
-    covariance : ndarray, shape (l, l)
 
     Raises
     ------
@@ -190,11 +173,6 @@ def gain_of_covariances(A, C, covariance, y_scale):
         Of process and measurement noise, [Q S; Sᵀ R].
     y_scale : ndarray, shape (l,)
         Sizes of the outputs; no noise is taken for less than a billionth of them.
-
-    Returns
-    -------
-    K : ndarray, shape (n, l)
-    covariance : ndarray, shape (l, l)
 
     Raises
     ------

@@ -166,11 +166,6 @@ def pieces_of(A, lengths):
 
     Each piece gets an initial state of its own; a stable A leaves segments whole.
 
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    lengths : list of int
-
     Returns
     -------
     pieces : list of (int, slice)

@@ -150,12 +150,7 @@ class LagProducts:
         return kept + lag_products(longer, n_lags, self.exact) if longer else kept
 
     def channels(self, which):
-        """The same for some of the channels.
-
-        Parameters
-        ----------
-        which : ndarray of int
-        """
+        """The same for some of the channels, by their numbers."""
         rows = np.arange(self.head.shape[1]).reshape(-1, len(self.exponents))[:, which].ravel()
         return replace(
             self,
@@ -362,10 +357,6 @@ def stretch(signals, n_lags, exact):
         Block rows 2i, past and future, of the Hankel matrix to come; at least 2.
     exact : bool
         Exact sums instead of sums in double.
-
-    Returns
-    -------
-    stretch : Stretch
     """
     exponents = _power_exponents([signals])
     ends = [_rounded([signals], part, exponents, exact)[0] for part in _ends(n_lags)]
@@ -384,10 +375,6 @@ def lag_products(records, n_lags, exact):
         Block rows 2i, past and future, of the Hankel matrix to come; at least 2.
     exact : bool
         Exact sums instead of sums in double.
-
-    Returns
-    -------
-    products : LagProducts
 
     Examples
     --------
@@ -505,9 +492,7 @@ def _side_by_side(rows):
 def _pair_products(even, odd, spare, grid):
     """Sums of products of rows that are 2b (first) and 2b + 1 (second) apart, of three.
 
-    Returns
-    -------
-    sums : ndarray, shape (together width, span, 2, width)
+    Shape (together width, span, 2, width).
     """
     now, after, odd = even[:-1], even[1:], odd[:-1]
     both = _overlapping(np.add(now, odd, out=spare), odd, *grid)
@@ -519,9 +504,7 @@ def _pair_products(even, odd, spare, grid):
 def _overlapping(left, right, n_periods, period, together, span):
     """Sums of the products of each ``together`` rows with ``span`` rows of another array.
 
-    Returns
-    -------
-    sums : ndarray, shape (together width, span, width)
+    Shape (together width, span, width).
     """
     width, item = left.shape[1], left.itemsize
     strides = (together * width * item, period * width * item, item)

@@ -134,10 +134,6 @@ class Comparison:
         most : int
         feedthrough : bool
             Whether D is free.
-
-        Returns
-        -------
-        order : int or None
         """
         tried = []
         for n in range(1, most + 1):

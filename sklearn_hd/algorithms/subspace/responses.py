@@ -73,10 +73,6 @@ class ResponseBasis:
 def response_basis(A):
     """Basis of the responses of x[k+1] = A x + B u, y = C x, to any B.
 
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-
     Returns
     -------
     basis : ResponseBasis or None
@@ -203,11 +199,6 @@ def alike_states(A, C):
     Without noise, those of an order too high are seen 10⁷ times less than others: what tells
     good coordinates from bad ones would take them for unseen.
 
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    C : ndarray, shape (l, n)
-
     Returns
     -------
     A, C : ndarray
@@ -227,11 +218,6 @@ def alike_states(A, C):
 
 def output_normal(A, C):
     """Output-normal coordinates of a stable model.
-
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    C : ndarray, shape (l, n)
 
     Returns
     -------
@@ -304,10 +290,6 @@ def response_products(basis, u, y, scales):
     u, y : ndarray, shapes (n_samples, m), (n_samples, l)
     scales : tuple of ndarray, shapes (m,), (l,)
         What inputs and outputs are divided by.
-
-    Returns
-    -------
-    products : ResponseProducts
     """
     n_samples, m, q = *u.shape, len(basis.g)
     L = _block(q, m, y.shape[1], n_samples)
