@@ -278,11 +278,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         X = check_features(self, X, reset=True)
         check_has_signals(X, "X")
         inputs = read_signals(X, timing)
-        if self.azimuth is None and len(inputs.base.time) == len(inputs.base.segments):
-            raise ValueError(
-                f"X has n_samples={len(X)}, none after another, which tell no sample time; give a "
-                f"record of many periods"
-            )
+        _check_steps(inputs)
         outputs, output_names = None, ()
         if y is not None and not is_decomposed(y):
             outputs, output_names = read_values(y, X, inputs.base, timing)
@@ -502,6 +498,16 @@ def _check_raw(X):
             "order HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer, StructuredMatcher"
         )
     check_upright(X, "X")
+
+
+def _check_steps(inputs):
+    """Whether any row follows on another, by the time that it counts."""
+    n_rows = len(inputs.data)
+    if inputs.azimuth is None and n_rows == len(inputs.base.segments):
+        raise ValueError(
+            f"X has n_samples={n_rows}, none after another, which tell no sample time; give a "
+            f"record of many periods"
+        )
 
 
 def _warn_of_few(base, omega):
