@@ -511,19 +511,19 @@ def resolution(time):
     return float(np.spacing(np.max(np.abs(time))))
 
 
-def clock_unit(time):
-    """Seconds of which all times are multiples: 1, 2 or 5 of some decimal; 0 if there are none."""
-    since, rounding = time - time[0], 2.0 * resolution(time)
+def clock_rounding(time):
+    """Seconds that rows may be off a line by the unit and the floats of their clock.
+
+    All times are multiples of the unit, 1, 2 or 5 of some decimal, from the first one on.
+    """
+    since, floats = time - time[0], 2.0 * resolution(time)
     for unit in np.outer(10.0 ** -np.arange(MOST_DECIMALS + 1), [1.0, 0.5, 0.2]).ravel():
-        if np.max(np.abs(since - unit * np.rint(since / unit))) <= rounding < 0.5 * unit:
-            return float(unit)
-    return 0.0
-
-
-def _of_rounding(off, time):
-    """Whether what rows are off a line is no more than the unit and the float of a clock leave."""
-    most = ROUNDS_BY * clock_unit(time) + 2.0 * resolution(time)
-    return bool(np.max(np.abs(off)) <= most)
+        if floats < 0.5 * unit and all(
+            np.max(np.abs(some - unit * np.rint(some / unit))) <= floats
+            for some in (since[:REPRESENTATIVE], since)
+        ):
+            return ROUNDS_BY * unit + floats
+    return floats
 
 
 def even(places, step, rounding):
@@ -541,6 +541,8 @@ def straightened(places, base, step):
     """
     if base.jitter[1] > 0.0 or base.uncertainty == 0.0:
         return places
+    rounding = STEP_TOLERANCE * step + resolution(base.time)
+    rounding = max(rounding, clock_rounding(base.time))
     for segment in base.segments:
         own = places[segment]
         n, middle = len(own), own.mean()
@@ -548,8 +550,7 @@ def straightened(places, base, step):
         spread = max(rows @ rows, 1.0)
         slope = rows @ own / spread
         off = own - middle - slope * rows
-        rounding = STEP_TOLERANCE * step + resolution(base.time)
-        if np.max(np.abs(off)) <= rounding or _of_rounding(off, base.time):
+        if np.max(np.abs(off)) <= rounding:
             error = np.sqrt(off @ off / max(n - 2, 1) / spread)
             slope = step if abs(slope - step) <= STANDARD_ERRORS * error else slope
             places[segment] = middle + slope * rows
@@ -580,6 +581,6 @@ def _mean_step(seconds, segments, found):
         slope = found
     rounding = resolution(seconds)
     steady = all(even(seconds[segment], slope, rounding) for segment in segments)
-    if steady or _of_rounding(off, seconds):
+    if steady or np.max(np.abs(off)) <= clock_rounding(seconds):
         return slope, (0.0, 0.0), uncertainty
     return slope, (float(np.sqrt(np.mean(off**2))), float(np.max(np.abs(off)))), uncertainty
