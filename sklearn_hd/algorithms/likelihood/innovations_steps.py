@@ -258,7 +258,8 @@ class _Form:
         -------
         system : _System
         """
-        gram, slope, size, whole = 0.0, 0.0, 0.0, 0.0
+        slope, size, whole, k = 0.0, 0.0, 0.0, len(self.places)
+        gram = np.zeros((k, k), order="F")
         free = {"feedthrough": self.feedthrough, "n_inputs": self.n_inputs}
         orders = range(self.n_harmonics + 1), range(self.n_loads + 1)
         for (rows, u, x, e, psi), some, own in zip(at.parts, at.counted, told, strict=True):
@@ -272,7 +273,7 @@ class _Form:
                 pairs = [(drives[own], direct[own]) for drives, direct in pairs]
                 part = rows.some(own), pairs, counts[own]
                 size = size + self._squares(*part)
-                gram = gram + self._information(at.weights, *part)
+                gram = self._with_information(gram, at.weights, *part)
         size = np.sqrt(np.where(size > 0.0, whole / np.where(size > 0.0, size, 1.0), 1.0))
         return _System.of(gram * size * size[:, None], slope)
 
@@ -293,17 +294,16 @@ class _Form:
         left = (left - start @ (start.T @ left)).reshape(e.shape)
         return sensitivity_sums(rows, pairs, left @ W)
 
-    def _information(self, W, rows, pairs, counts):
-        """Products of the sensitivities to the free coefficients: the lower triangle."""
+    def _with_information(self, gram, W, rows, pairs, counts):
+        """Adds products of the sensitivities to the free coefficients: the lower triangle."""
         start, k, inside = _started(W, rows, counts), len(self.places), 0.0
         start = start.reshape(len(counts), len(W), start.shape[1])
-        gram = np.zeros((k, k), order="F")
         for piece, J in sensitivity_pieces(rows, pairs, max(int(PIECE / k / len(W)), 1), W):
             J[~counts[piece]] = 0.0
             J, free = (z.reshape(-1, z.shape[-1]) for z in (J, start[piece]))
             gram = linalg.blas.dsyrk(1.0, J.T, 1.0, gram, lower=1, overwrite_c=1)
             inside = inside + free.T @ J
-        return gram - inside.T @ inside
+        return linalg.blas.dsyrk(-1.0, inside.T, 1.0, gram, lower=1, overwrite_c=1)
 
     def moved(self, innovations, step):
         """The model a step further."""
