@@ -511,18 +511,23 @@ def resolution(time):
     return float(np.spacing(np.max(np.abs(time))))
 
 
-def clock_rounding(time):
+def clock_rounding(time, segments):
     """Seconds that rows may be off a line by the unit and the floats of their clock.
 
-    All times are multiples of the unit, 1, 2 or 5 of some decimal, from the first one on.
+    Times since the first of each segment are multiples of the unit, 1, 2 or 5 of some decimal, and
+    steps are one of two neighbouring numbers of them: an even clock that is rounded has no others.
     """
-    since, floats = time - time[0], 2.0 * resolution(time)
+    floats = 2.0 * resolution(time)
+    since = np.concatenate([time[segment] - time[segment.start] for segment in segments])
+    steps = np.concatenate([np.diff(time[segment]) for segment in segments])
+    few = since[:REPRESENTATIVE]
     for unit in np.outer(10.0 ** -np.arange(MOST_DECIMALS + 1), [1.0, 0.5, 0.2]).ravel():
-        if floats < 0.5 * unit and all(
-            np.max(np.abs(some - unit * np.rint(some / unit))) <= floats
-            for some in (since[:REPRESENTATIVE], since)
-        ):
-            return ROUNDS_BY * unit + floats
+        if floats >= 0.5 * unit or not len(steps):
+            break
+        if all(np.max(np.abs(z - unit * np.rint(z / unit))) <= floats for z in (few, since)):
+            counts = np.rint(steps / unit)
+            if JITTER_LIMIT * counts.min() >= ROUNDS_BY and np.ptp(counts) <= 1.0:
+                return ROUNDS_BY * unit + floats
     return floats
 
 
@@ -541,8 +546,8 @@ def straightened(places, base, step):
     """
     if base.jitter[1] > 0.0 or base.uncertainty == 0.0:
         return places
-    rounding = STEP_TOLERANCE * step + resolution(base.time)
-    rounding = max(rounding, clock_rounding(base.time))
+    rounding = clock_rounding(base.time, base.segments)
+    most = max(STEP_TOLERANCE * step + resolution(base.time), rounding)
     for segment in base.segments:
         own = places[segment]
         n, middle = len(own), own.mean()
@@ -550,8 +555,8 @@ def straightened(places, base, step):
         spread = max(rows @ rows, 1.0)
         slope = rows @ own / spread
         off = own - middle - slope * rows
-        if np.max(np.abs(off)) <= rounding:
-            error = np.sqrt(off @ off / max(n - 2, 1) / spread)
+        if np.max(np.abs(off)) <= most:
+            error = np.sqrt(max(off @ off / max(n - 2, 1), rounding**2 / 3.0) / spread)
             slope = step if abs(slope - step) <= STANDARD_ERRORS * error else slope
             places[segment] = middle + slope * rows
     return places
@@ -581,6 +586,6 @@ def _mean_step(seconds, segments, found):
         slope = found
     rounding = resolution(seconds)
     steady = all(even(seconds[segment], slope, rounding) for segment in segments)
-    if steady or np.max(np.abs(off)) <= clock_rounding(seconds):
+    if steady or np.max(np.abs(off)) <= clock_rounding(seconds, segments):
         return slope, (0.0, 0.0), uncertainty
     return slope, (float(np.sqrt(np.mean(off**2))), float(np.max(np.abs(off)))), uncertainty

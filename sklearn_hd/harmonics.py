@@ -462,10 +462,13 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             If ``input_features`` are not the columns of X at fit.
         """
         check_is_fitted(self)
-        known = list(getattr(self, "feature_names_in_", ()))
-        if input_features is not None and known and list(input_features) != known:
+        known = getattr(self, "feature_names_in_", None)
+        given = [] if input_features is None else list(input_features)
+        same = len(given) == self.n_features_in_ if known is None else given == list(known)
+        if given and not same:
             raise ValueError(
-                f"input_features={list(input_features)} are not the columns at fit, {known}; leave "
+                f"input_features={given} are not the columns at fit, "
+                f"{self.n_features_in_ if known is None else list(known)}; leave "
                 f"input_features=None"
             )
         names = [*self.basis_.measured, *self.basis_.coefficient_labels]
@@ -501,12 +504,9 @@ def _check_raw(X):
 
 
 def _check_steps(inputs):
-    """Whether any row follows on another, by the time that it counts."""
-    n_rows = len(inputs.data)
-    if inputs.azimuth is None and n_rows == len(inputs.base.segments):
+    if inputs.azimuth is None and len(inputs.data) == 1:
         raise ValueError(
-            f"X has n_samples={n_rows}, none after another, which tell no sample time; give a "
-            f"record of many periods"
+            "X has n_samples=1, which tells no sample time; give a record of many periods"
         )
 
 

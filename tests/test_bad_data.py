@@ -307,7 +307,7 @@ def test_switches_are_switches(u, y, name, value):
 
 
 def test_a_record_of_single_rows_tells_no_sample_time(u, y):
-    with pytest.raises(ValueError, match="X has n_samples=1, none after another"):
+    with pytest.raises(ValueError, match="X has n_samples=1, which tells no sample time"):
         analyzer().fit(u[:1], y[:1])
 
 
@@ -328,6 +328,11 @@ def test_names_of_other_columns_are_refused(u, y):
     assert fitted.get_feature_names_out(["u"]).tolist() == fitted.get_feature_names_out().tolist()
     with pytest.raises(ValueError, match=r"\['other'\] are not the columns at fit, \['u'\]"):
         fitted.get_feature_names_out(["other"])
+    with pytest.warns(TimeBaseWarning, match="rows count as samples"):
+        fitted = analyzer(sample_time=1 / SPP).fit(u.to_numpy(), y.to_numpy())
+    assert len(fitted.get_feature_names_out(["any"])) == len(fitted.get_feature_names_out())
+    with pytest.raises(ValueError, match=r"\['a', 'b'\] are not the columns at fit, 1; leave"):
+        fitted.get_feature_names_out(["a", "b"])
 
 
 def test_a_first_chunk_of_one_row_tells_no_sample_time(u, y):

@@ -43,15 +43,30 @@ def test_rounded_times(digits):
 
 @pytest.mark.parametrize("start", [0.0, 1.7e9])
 @pytest.mark.parametrize("unit", [1e-6, 5e-5, 1e-4])
-def test_the_unit_of_a_clock_is_no_jitter(rng, start, unit):
-    """Times are multiples of a unit: rows lie on their line, unless they are off by more."""
+def test_the_unit_of_a_clock_is_no_jitter(start, unit):
+    """Times are multiples of a unit: rows lie on their line."""
     time = start + unit * np.round(DT * np.arange(4000) / unit)
     base = read_time(frame(time))
     assert base.jitter == (0.0, 0.0)
     off = straightened(time.copy(), base, base.sample_time) - start - DT * np.arange(4000)
     assert np.ptp(off) < 0.1 * unit + 4.0 * np.spacing(start)
-    late = start + unit * np.round((time - start) / unit + rng.choice([0, 1], 4000))
-    assert read_time(frame(late)).jitter[1] > 0.6 * unit
+
+
+@pytest.mark.parametrize("step", [DT, 4e-4, 1e-3])
+def test_jitter_of_one_unit_of_the_clock_is_jitter(rng, step):
+    """Steps of an even clock are two neighbouring numbers of units, and many of them."""
+    unit = 1e-4
+    time = unit * (np.round(step * np.arange(4000) / unit) + rng.choice([0, 1], 4000))
+    assert read_time(frame(time)).jitter[1] > 0.4 * unit
+
+
+def test_records_have_the_unit_of_their_clock_from_their_own_beginning():
+    time = np.concatenate(
+        [s + 1e-4 * np.round(DT * np.arange(400) / 1e-4) for s in (0.0, 5.000037)]
+    )
+    record = np.repeat(["a", "b"], 400)
+    base = read_time(frame(pd.MultiIndex.from_arrays([record, time], names=["record", "time"])))
+    assert base.jitter == (0.0, 0.0)
 
 
 @pytest.mark.parametrize("unit", [1e-6, 1e-4])

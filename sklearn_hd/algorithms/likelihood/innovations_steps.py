@@ -24,7 +24,7 @@ from sklearn_hd.algorithms.likelihood.predictor import (
     sensitivity_pieces,
     sensitivity_sums,
 )
-from sklearn_hd.algorithms.linalg.rounding import OVERFLOW, RANK, TINY
+from sklearn_hd.algorithms.linalg.rounding import OVERFLOW, RANK
 from sklearn_hd.algorithms.periodic.harmonic_balance import resize_harmonics
 from sklearn_hd.algorithms.periodic.multipliers import LASTING, LEAST_RATE
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
@@ -119,8 +119,8 @@ class NextStep:
     Attributes
     ----------
     beyond : float
-        Standard deviations of a normal variable by which 2 Δ log L of their effect alone, in which
-        residuals are linear, is beyond what noise explains.
+        Standard deviations of a normal variable by which the slopes of −log L by their effect, in
+        which residuals are linear, are beyond what noise explains.
     ahead : (ndarray, ndarray)
         As :func:`most_likely` has it, of a step in all coefficients.
     """
@@ -379,20 +379,26 @@ class _System:
         return _System.of((self.values * vectors) @ vectors.T, vectors @ self.slope)
 
     def beyond_noise(self, some):
-        """Normal deviations by which 2 Δ log L of some parameters alone is beyond that of noise.
+        """Normal deviations by which slopes by some parameters are beyond those of noise.
 
-        Were the others the most likely ones, the slopes of some would have the covariance
-        J_ss − J_so J_oo⁻¹ J_os (Rao, 1948), and 2 Δ log L would be a sum of χ², here one of the
-        same mean and variance (Satterthwaite, 1946). Of a step in all parameters more is promised
-        than kept where the others are poorly known.
+        Of their slopes g where the others are the most likely ones (Rao, 1948):
+
+            g = g_s − J_so J_oo⁻¹ g_o,   cov g = J_ss − J_so J_oo⁻¹ J_os
+
+        gᵀ J_ss⁻¹ g then is a sum of χ², here one of the same mean and variance (Satterthwaite,
+        1946). Of a step in all parameters more is promised than kept where the others are poorly
+        known. −∞ where the others tell all.
         """
-        own, others = self.alone(some), self.alone(~some)
+        own, others, slope = self.alone(some), self.alone(~some), self.vectors @ self.slope
         shared = own.root.T @ (self.values * self.vectors[some]) @ self.vectors[~some].T
         shared = shared @ others.root
-        covariance = np.eye(len(shared)) - shared @ shared.T
-        mean, half_variance = max(np.trace(covariance), TINY), max(np.sum(covariance**2), TINY)
-        size = half_variance / mean
-        return float(norm.isf(chi2.sf(2.0 * own.promised / size, mean / size)))
+        values, V = linalg.eigh(np.eye(len(shared)) - shared @ shared.T)
+        values, V = values[values > np.sqrt(RANK)], V[:, values > np.sqrt(RANK)]
+        if not len(values):
+            return -np.inf
+        g = V.T @ (own.root.T @ slope[some] - shared @ (others.root.T @ slope[~some]))
+        size = np.sum(values**2) / np.sum(values)
+        return float(norm.isf(chi2.sf(np.sum(g**2) / size, np.sum(values) / size)))
 
     def step(self, damping):
         """A step, damped by some part of the largest eigenvalue."""

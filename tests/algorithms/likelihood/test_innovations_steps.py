@@ -7,7 +7,13 @@ import pytest
 from innovation_cases import N_INPUTS, N_OUTPUTS, N_STATES, drawn, multipliers, record
 
 from sklearn_hd.algorithms.likelihood import innovations_steps
-from sklearn_hd.algorithms.likelihood.innovations_steps import _Form, _telling, fitted, most_likely
+from sklearn_hd.algorithms.likelihood.innovations_steps import (
+    _Form,
+    _System,
+    _telling,
+    fitted,
+    most_likely,
+)
 from sklearn_hd.algorithms.periodic.periodic_predictor import Layout
 
 LAYOUT = Layout(N_INPUTS, N_OUTPUTS, 2, 1, 1, 2, feedthrough=True)
@@ -165,3 +171,22 @@ def test_a_step_so_far_that_rounding_hides_the_least_noise_costs_more():
         far = fitted(replace(true, coefficients=whole), some, 1e-3)
         assert far is None or far.cost > best
     assert far is None  # its squares overflow
+
+
+@pytest.mark.parametrize("moved", [0.0, 3.0])
+def test_slopes_of_noise_are_told_whatever_the_others_are(moved):
+    """Normal deviations of mean 0 and size 1, also where others are not the most likely ones."""
+    rng, some, found = np.random.default_rng(0), np.arange(12) < 5, []
+    root = rng.standard_normal((12, 12))
+    gram = root @ root.T
+    for _ in range(400):
+        slope = root @ rng.standard_normal(12) + gram @ np.where(some, 0.0, moved)
+        found.append(_System.of(np.tril(gram), slope).beyond_noise(some))
+    np.testing.assert_allclose([np.mean(found), np.std(found)], [0.0, 1.0], atol=0.15)
+    slope = gram @ np.where(some, 8.0, 0.0)  # an effect
+    assert _System.of(np.tril(gram), slope).beyond_noise(some) > 4.0
+
+
+def test_slopes_of_what_others_tell_say_nothing():
+    gram = np.array([[1.0, 1.0], [1.0, 1.0 + 1e-13]])
+    assert _System.of(gram, np.array([0.1, 0.1])).beyond_noise(np.array([False, True])) == -np.inf
