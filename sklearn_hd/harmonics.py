@@ -278,7 +278,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         X = check_features(self, X, reset=True)
         check_has_signals(X, "X")
         inputs = read_signals(X, timing)
-        _check_steps(inputs)
+        _check_rows(inputs)
         outputs, output_names = None, ()
         if y is not None and not is_decomposed(y):
             outputs, output_names = read_values(y, X, inputs.base, timing)
@@ -465,11 +465,10 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         known = getattr(self, "feature_names_in_", None)
         given = [] if input_features is None else list(input_features)
         same = len(given) == self.n_features_in_ if known is None else given == list(known)
-        if given and not same:
+        if input_features is not None and not same:
+            columns = f"{self.n_features_in_} column(s)" if known is None else f"{list(known)}"
             raise ValueError(
-                f"input_features={given} are not the columns at fit, "
-                f"{self.n_features_in_ if known is None else list(known)}; leave "
-                f"input_features=None"
+                f"input_features={given} are not those at fit, {columns}; leave input_features=None"
             )
         names = [*self.basis_.measured, *self.basis_.coefficient_labels]
         return np.asarray(names, dtype=object)
@@ -503,11 +502,9 @@ def _check_raw(X):
     check_upright(X, "X")
 
 
-def _check_steps(inputs):
+def _check_rows(inputs):
     if inputs.azimuth is None and len(inputs.data) == 1:
-        raise ValueError(
-            "X has n_samples=1, which tells no sample time; give a record of many periods"
-        )
+        raise ValueError("X has n_samples=1, and one row is no record; give many periods")
 
 
 def _warn_of_few(base, omega):

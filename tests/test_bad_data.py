@@ -306,8 +306,8 @@ def test_switches_are_switches(u, y, name, value):
 # ---- found by the fuzz ------------------------------------------------------------------------
 
 
-def test_a_record_of_single_rows_tells_no_sample_time(u, y):
-    with pytest.raises(ValueError, match="X has n_samples=1, which tells no sample time"):
+def test_one_row_is_no_record(u, y):
+    with pytest.raises(ValueError, match="X has n_samples=1, and one row is no record"):
         analyzer().fit(u[:1], y[:1])
 
 
@@ -326,12 +326,16 @@ def test_a_column_without_values_is_named(u, y):
 def test_names_of_other_columns_are_refused(u, y):
     fitted = analyzer().fit(u, y)
     assert fitted.get_feature_names_out(["u"]).tolist() == fitted.get_feature_names_out().tolist()
-    with pytest.raises(ValueError, match=r"\['other'\] are not the columns at fit, \['u'\]"):
+    with pytest.raises(ValueError, match=r"\['other'\] are not those at fit, \['u'\]"):
         fitted.get_feature_names_out(["other"])
     with pytest.warns(TimeBaseWarning, match="rows count as samples"):
         fitted = analyzer(sample_time=1 / SPP).fit(u.to_numpy(), y.to_numpy())
     assert len(fitted.get_feature_names_out(["any"])) == len(fitted.get_feature_names_out())
-    with pytest.raises(ValueError, match=r"\['a', 'b'\] are not the columns at fit, 1; leave"):
+    with pytest.raises(ValueError, match=r"\[\] are not those at fit, 1 column"):
+        fitted.get_feature_names_out([])
+    with pytest.raises(
+        ValueError, match=r"\['a', 'b'\] are not those at fit, 1 column\(s\); leave"
+    ):
         fitted.get_feature_names_out(["a", "b"])
 
 
