@@ -237,6 +237,14 @@ def test_halves_that_agree_with_each_other_alone_do_not_confirm():
     assert doubtful(PAIR, found).all()
 
 
+@pytest.mark.parametrize("part", [0.5, 0.9, 0.999])
+def test_halves_know_as_much_as_the_whole_whatever_part_each_tells(part):
+    """λ = f λ_1 + (1 − f) λ_2: of a variance of 1/f and 1/(1 − f) times that of the whole."""
+    apart = 0.01 / np.sqrt(part * (1.0 - part))
+    halves = [PAIR + (1.0 - part) * apart, PAIR - part * apart]
+    np.testing.assert_allclose(of_halves(PAIR, halves, 1.0, 500.0).deviations, 0.01)
+
+
 @pytest.mark.parametrize(("slower", "doubted"), [(-8.0, False), (-1.5, False), (-0.5, True)])
 def test_a_mode_that_every_half_forgets_within_a_turn_is_not_judged(slower, doubted):
     """How fast it is, halves do not know; whether it lasts, they do (1e-3 are -1.1 at ω = 1)."""
