@@ -177,21 +177,24 @@ def of_multipliers(multipliers, deviations, experiment, way, own):
     return Opinion(exponents, deviations * rate, omega, way, own, longest)
 
 
-def of_halves(exponents, halves, omega, duration):
+def of_halves(exponents, halves, omega, duration, alike=True):
     """The opinion of both halves of a record: the whole's exponents, known as well as the halves
     have one near to each.
 
-    One half may tell most of it. Of independent halves with parts f and 1 − f of the information
-    about an exponent, and σ that of the whole, whatever f is:
+    Of independent halves with parts f and 1 − f of what the whole knows to within σ,
 
-        λ = f λ_1 + (1 − f) λ_2,    E |λ_1 − λ| |λ_2 − λ| = σ²
+        λ = f λ_1 + (1 − f) λ_2,    E |λ_1 − λ| |λ_2 − λ| = σ²,
+
+    whatever f is. If they are alike, the mean of their squares is the same, and it is larger where
+    more than chance is between them.
     """
     own = []
     for half in halves:
         shifted = half + 1j * omega * np.round((exponents[:, None] - half).imag / omega)
         rows, columns = linear_sum_assignment(np.abs(exponents[:, None] - shifted))
         own.append(shifted[rows, columns])
-    spread = np.sqrt(np.prod(np.abs(np.array(own) - exponents), axis=0))
+    apart = np.abs(np.array(own) - exponents)
+    spread = np.sqrt(np.mean(apart**2, axis=0) if alike else np.prod(apart, axis=0))
     slowest = np.max(np.real([exponents, *own]), axis=0)
     way = "the two halves of the record have"
     return Opinion(exponents, spread, omega, way, True, duration, slowest=slowest)

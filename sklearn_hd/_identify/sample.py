@@ -469,7 +469,8 @@ def _of_halves(model, whole, chosen, refined):
     """Exponents of the two halves of a record, of the same order, lags and harmonics.
 
     Each half has as much of the outputs' motion: of a record that is at rest for long, and of a
-    chirp, half of the rows may tell nothing. None where a half is too short for the predictor, or
+    chirp, half of the rows may tell nothing. If one half alone has rows enough for steps of the
+    likelihood, it tells more than the other. None where a half is too short for the predictor, or
     one turn does not tell exponents apart.
     """
     data, layout = whole.data, whole.layout
@@ -478,7 +479,7 @@ def _of_halves(model, whole, chosen, refined):
     least = layout.n_columns + len(ends) * layout.n_lags
     middle = np.searchsorted(motion, 0.5 * motion[-1])
     middle = int(np.clip(middle, min(least, ends[-1] // 2), max(ends[-1] - least, ends[-1] // 2)))
-    halves, exponents = [[], []], []
+    halves, exponents, stepped = [[], []], [], set()
     for segment, stop in zip(data.segments, ends, strict=True):
         cut = int(np.clip(middle - (stop - len(segment[1])), 0, len(segment[1])))
         for half, rows in zip(halves, (slice(0, cut), slice(cut, None)), strict=True):
@@ -494,9 +495,10 @@ def _of_halves(model, whole, chosen, refined):
         choice.best()  # of that order: its coordinates
         found = choice.model(choice.sums(chosen.order), chosen.n_harmonics)
         found = choice.refined(found, chosen.stable, refined)
+        stepped.add(found.ahead is not None)
         exponents.append(replace(model, innovations=found.innovations).exponents())
-    omega = whole.basis.omega
-    return of_halves(model.exponents(), exponents, omega, data.duration(omega))
+    omega, alike = whole.basis.omega, len(stepped) == 1
+    return of_halves(model.exponents(), exponents, omega, data.duration(omega), alike)
 
 
 def _of_its_likelihood(refined, data, omega):
