@@ -2,7 +2,9 @@
 
 import math
 import numbers
+import os
 import reprlib
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -70,6 +72,27 @@ def check_fraction(name, value, hint, *, zero=False):
         allowed = "from 0 to below 1" if zero else "between 0 and 1"
         raise ValueError(f"{name} must be a number {allowed}, got {value!r}; {hint}")
     return float(value)
+
+
+def path_of_file(path, example):
+    """The path of a file; an error says if it is none, or a folder."""
+    if not isinstance(path, str | os.PathLike):
+        raise TypeError(f"path={path!r} is no path; give the name of a file, such as {example!r}")
+    path = Path(path)
+    if path.is_dir():
+        raise ValueError(f"path={str(path)!r} is a folder; give the name of a file within it")
+    return path
+
+
+def path_to_write(path, example):
+    """The path of a file in a folder that exists; an error names what is in the way."""
+    path = path_of_file(path, example)
+    if not path.parent.is_dir():
+        raise ValueError(
+            f"path={str(path)!r}: the folder {str(path.parent)!r} does not exist; make it, or give "
+            f"a path in a folder that exists"
+        )
+    return path
 
 
 def real_array(name, values, wanted):

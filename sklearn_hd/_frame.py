@@ -290,7 +290,7 @@ class FrameTransformer(TransformerMixin):
         """
         if transform not in (None, "default", "pandas"):
             raise ValueError(
-                f"transform={transform!r} would drop the harmonic basis and the model that the "
-                f"frame carries; use 'pandas' or 'default'"
+                f"transform={transform!r} is not 'pandas', 'default' or None: no other container "
+                f"carries the harmonic basis and the model"
             )
         return super().set_output(transform=transform)

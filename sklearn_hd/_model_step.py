@@ -675,7 +675,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         NotFittedError
             Before ``fit``.
         ValueError
-            If the suffix is another, or a number is not finite.
+            If the suffix is another, a number is not finite, or the folder does not exist.
         OSError
             If the file cannot be written.
         """

@@ -10,7 +10,7 @@ from scipy.sparse import issparse
 from sklearn_hd._checks import FIRST, STANDARD_ERRORS, at, check_positive
 from sklearn_hd._containers import check_no_clock, check_no_records, from_elsewhere, is_pandas
 from sklearn_hd._guards import searches, warn
-from sklearn_hd.exceptions import TimeBaseWarning
+from sklearn_hd.exceptions import JitterWarning, TimeBaseWarning
 
 
 def as_container(data, what):
@@ -116,7 +116,10 @@ def _as_array(data, what):
     if data is None or isinstance(data, str | bytes | dict):
         way = f"; make it a DataFrame: pd.DataFrame({what})" if isinstance(data, dict) else ""
         if data is None and what == "X":
-            way = "; for a model of outputs alone, give it a frame without columns: y[[]]"
+            way = (
+                "; a model of outputs alone, MOESPRegressor().fit(None, y) without the analyzer, "
+                "takes a frame without columns for X later: y[[]]"
+            )
         raise TypeError(
             f"{what} is {'None' if data is None else 'a ' + type(data).__name__}, which is not a "
             f"table of signals; give a DataFrame, or an array of shape (n_samples, n_signals){way}"
@@ -176,6 +179,9 @@ REPRESENTATIVE = 1001  # of steps that are alike
 SHORT = 8  # rows from gap to gap, below which the gaps are no accident
 MOST_DECIMALS = 9  # of times in seconds, whose rounding is told from jitter
 ROUNDS_BY = 0.6  # of a clock's unit: a half, and what a fitted line may be off
+SEVERAL = 20  # steps that are longer or shorter, by which a clock shows
+WHOLE = 0.01  # of a clock's unit, by which the floats of a time may miss it
+ROUNDED_BY = 1.25  # units from the latest row to the earliest: one, and what the line is off
 JITTER_LIMIT = 0.2  # of the sample time, by which the instant of a row may be off
 
 
@@ -277,6 +283,7 @@ def read_time(data, sample_time=None, time_origin=None, row_time=None):
     if counted:
         unit = unit if sample_time is None else sample_time
     else:
+        _tell_of_coarse_clock(seconds, bounds, steps)
         near = [run for a, b in itertools.pairwise(bounds) for run in _near(seconds, a, b, unit)]
         unit, _, uncertainty = _mean_step(seconds, near, unit)
     segments, records = [], []
@@ -292,6 +299,47 @@ def read_time(data, sample_time=None, time_origin=None, row_time=None):
     return TimeBase(
         seconds, tuple(segments), tuple(records), sample_time, counted, jitter, uncertainty
     )
+
+
+def _tell_of_coarse_clock(seconds, bounds, steps):
+    """Say so if times are even ones that are rounded to a unit nearly as long as their steps.
+
+    Steps then are n or n + 1 units, n being one or two, and rows are within half a unit of a line,
+    which rows lost at random are not. Rows of which every so many is lost are: then it may be both.
+    """
+    unit = float(np.ptp(steps)) if steps.size else 0.0
+    if not unit or unit <= 2.0 * JITTER_LIMIT * np.median(steps):
+        return
+    counts = np.rint(steps / unit)
+    short = counts == counts.min()
+    rarer = np.flatnonzero(short if 2 * short.sum() < len(short) else ~short)
+    whole = counts.min() in (1.0, 2.0) and np.max(np.abs(steps / unit - counts)) <= WHOLE
+    if not whole or len(rarer) < SEVERAL or _off_a_line(seconds, bounds) > ROUNDED_BY * unit:
+        return
+    step, every = float(np.mean(steps)), np.diff(rarer)
+    way = f"index X by np.arange(len(X)) * {step:.9g}, or by times that are not rounded"
+    few, many = counts.min(), counts.max()
+    told = (
+        f"steps from row to row are {few:.0f} or {many:.0f} times {unit:.6g} s, as those of times "
+        f"are that are {step:.6g} s apart and rounded to {unit:.6g} s"
+    )
+    if np.ptp(every) > 0 or np.median(counts) > 1.0:
+        raise ValueError(f"{told}: too coarse to tell which rows are missing; {way}")
+    warn(
+        f"{told}; they are read as rows {unit:.6g} s apart, of which every {every[0] + 1}th is "
+        f"missing; if they are rounded, {way}",
+        JitterWarning,
+    )
+
+
+def _off_a_line(seconds, bounds):
+    """Seconds from the row that is latest to the earliest, each record about its own line."""
+    off = []
+    for a, b in itertools.pairwise(bounds):
+        rows = np.arange(b - a) - 0.5 * (b - a - 1)
+        own = seconds[a:b] - seconds[a:b].mean()
+        off.append(np.ptp(own - rows * (rows @ own) / max(rows @ rows, 1.0)))
+    return max(off)
 
 
 def _first_steps(seconds, bounds):

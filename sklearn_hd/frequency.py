@@ -72,7 +72,8 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
         If neither the records nor ``sample_time`` say when rows were sampled.
     IdentifiabilityWarning
         If a fraction of the frequency explains the records better, or a multiple explains them as
-        well; if it may be the clock of inputs that always move.
+        well; if no guess was given and the outputs show no orbit at it; if it may be the clock of
+        inputs that always move.
 
     References
     ----------
@@ -128,6 +129,8 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
             f"them at rest for some periods",
             IdentifiabilityWarning,
         )
+    if guess is None:
+        _warn_without_orbit(found, segments, step)
     if found.rivals:
         others = ", ".join(f"{rival:.7g}" for rival in found.rivals)
         better = "better than" if slower else "as well as"
@@ -143,6 +146,21 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
             IdentifiabilityWarning,
         )
     return found
+
+
+def _warn_without_orbit(found, segments, step):
+    """Warn if no waveform repeats itself at a frequency that the spectrum alone has proposed.
+
+    At a speed that drifts, in neither half of the records.
+    """
+    some = _thinned(segments, found.omega, step)
+    if orbit_share(*some) < ORBIT and not (found.drift and orbit_drift(*some)):
+        warn(
+            f"the outputs show no orbit at {found.omega:.7g} rad/s, a waveform that the halves of "
+            f"the records share, so this frequency may be any; give outputs as measured, their "
+            f"trim included, or guess=",
+            IdentifiabilityWarning,
+        )
 
 
 def _times_as_fast(found, segments, step):

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from sklearn.exceptions import NotFittedError
 from sklearn.model_selection import KFold, TimeSeriesSplit, cross_val_score
-from sklearn.pipeline import Pipeline
+from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from sklearn_hd import (
@@ -18,6 +18,7 @@ from sklearn_hd import (
     StructuredMatcher,
 )
 from sklearn_hd._records.sampling import outliers
+from sklearn_hd.datasets import make_rotor
 from sklearn_hd.exceptions import IdentifiabilityWarning, JitterWarning, TimeBaseWarning
 from sklearn_hd.model_selection import fit_percent
 
@@ -81,7 +82,7 @@ def test_only_a_model_of_outputs_alone_does_without_inputs():
         analyzer().fit(None, np.ones(9))
     model = MOESPRegressor(order=1).fit(None, np.cumsum(np.arange(40.0) % 3))
     with pytest.raises(
-        TypeError, match=r"a model of outputs alone, give it a frame without columns"
+        TypeError, match=r"a model of outputs alone, .* takes a frame without columns"
     ):
         model.predict(None)
 
@@ -476,3 +477,14 @@ def test_outliers_are_named_with_the_way_out(rng):
     found = pipe.fit(X, lost)["i"].model_.exponents()
     assert np.min(np.abs(found - SPP * np.log(0.9))) < 0.02
     assert pipe["h"].basis_.reading == right.basis_.reading
+
+
+@pytest.mark.parametrize("kept", [2, 3, 4])
+def test_rows_lost_so_often_that_no_segment_is_long(kept):
+    """Units have nothing to do with it."""
+    rotor = make_rotor(n_turns=60, random_state=0)
+    some = np.arange(len(rotor.inputs)) % (kept + 1) < kept
+    pipe = make_pipeline(HarmonicAnalyzer(rotor.omega, reading="sample"), MOESPRegressor())
+    told = pytest.raises(ValueError, match=f"the longest segment {kept}, too few|is constant in")
+    with pytest.warns(JitterWarning, match="is missing; if they are rounded"), told:
+        pipe.fit(rotor.inputs[some], rotor.outputs[some])

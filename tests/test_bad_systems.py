@@ -377,12 +377,38 @@ def test_transfer_functions_of_records_too_large_or_too_slow():
         estimate_harmonic_transfer_function(u, u, 1.0, 0, sample_time=1e3)
 
 
-@pytest.mark.parametrize("name", ["sample_time", "omega", "span"])
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("sample_time", "sample_time must be a positive number, got .*; seconds from row to row"),
+        ("omega", "guess must be a positive number, got .*; rad/s"),
+        ("span", "span must be a number between 0 and 1, got .*; how far to search"),
+    ],
+)
 @pytest.mark.parametrize("value", [-1.0, np.nan, "x", [1.0]])
-def test_numbers_that_estimate_omega_takes(name, value):
+def test_numbers_that_estimate_omega_takes(name, message, value):
     given = {"sample_time": 0.1, "omega": 1.0, "span": 0.1} | {name: value}
-    with pytest.raises(ValueError, match=rf"{name} must be a positive number, got .*; seconds"):
+    with pytest.raises(ValueError, match=message):
         estimate_omega([np.zeros((90, 1))], [np.ones((90, 1))], **given)
+
+
+@pytest.mark.parametrize("period", [2.0, 1.0 / 2.0, 3.0 * np.pi / 2.0])
+def test_a_period_after_which_f_is_another(period):
+    """2, 1/2 and 3π/2 s instead of π s; f of no time at all has any."""
+
+    def forced(x, u, t):
+        return -x + u + np.cos(2.0 * t)
+
+    names = {"state_names": ["a"], "input_names": ["b"]}
+    with pytest.raises(ValueError, match=r"a period of .* s later, .*: period is 2π/omega in sec"):
+        PeriodicSystem(forced, period=period, **names).trim(3)
+    assert PeriodicSystem(forced, period=np.pi, **names).trim(3).residual < 1e-9
+    assert PeriodicSystem(decay, period=period, **names).trim(3).residual < 1e-9
+
+
+def test_a_system_of_no_states_has_no_exponents():
+    system = LTPSystem(np.zeros((0, 0)), np.zeros((0, 1)), omega=1.0)
+    assert system.floquet_exponents().shape == (0,)
 
 
 def test_norms_of_texts():

@@ -196,7 +196,7 @@ def test_export_refuses_before_fit_and_where_there_is_no_folder(system, tmp_path
     with pytest.raises(NotFittedError):
         MOESPRegressor().export(tmp_path / "m.json")
     for name in ("m.json", "m.mat"):
-        with pytest.raises(FileNotFoundError):
+        with pytest.raises(ValueError, match=r"the folder .*nowhere' does not exist; make it"):
             system.export(tmp_path / "nowhere" / name)
     with pytest.raises(ValueError, match="n_phases must be a whole number of at least 1"):
         system.export(tmp_path / "m.json", n_phases=0)
@@ -247,3 +247,13 @@ def test_a_plain_model_has_no_omega(rng, tmp_path):
     y = pd.DataFrame({"y": np.convolve(u["u"], 0.5 ** np.arange(8))[:200]}, index=u.index)
     MOESPRegressor(1).fit(u, y).export(tmp_path / "m.json")
     assert "omega" not in json.loads((tmp_path / "m.json").read_text())
+
+
+def test_paths_that_are_none(tmp_path):
+    system = mathieu(2.0, 0.5)
+    for path in (None, 5):
+        for ask in (system.export, load_model):
+            with pytest.raises(TypeError, match=f"path={path} is no path; give the name of a file"):
+                ask(path)
+    with pytest.raises(ValueError, match="is a folder; give the name of a file"):
+        load_model(tmp_path)

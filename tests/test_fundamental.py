@@ -190,6 +190,14 @@ def test_nothing_to_tell_it_from():
         estimate_omega([still], [still], 1 / 32, 2 * np.pi)
     short = [rng.standard_normal((60, 1))] * 40
     assert omega_mismatch([still[:60]] * 40, short, 1 / 32, 2 * np.pi) is None
+    rows = [rng.standard_normal((4, 1))] * 600
+    assert omega_mismatch([still[:4]] * 600, rows, 1 / 32, 2 * np.pi) is None
+    with pytest.raises(
+        ValueError, match="longest of 600 segments holds 4 rows, and 8 periods take"
+    ):
+        estimate_omega([still[:4]] * 600, rows, 1 / 32)
+    with pytest.raises(ValueError, match="too few to find a repetition"):
+        estimate_omega([still], [rng.standard_normal((2000, 1))], 1 / 32, 1e-300)
 
 
 # ---- sines, ramps, multiples, scatter ---------------------------------------------------------
@@ -367,6 +375,31 @@ def test_what_repeats_itself_goes_on_over_gaps(seed):
 
 
 # ---- what users call ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_where_no_waveform_repeats_itself_a_frequency_may_be_any(seed):
+    """Noise has none: it is refused, or comes with a warning."""
+    noise = np.random.default_rng(seed).standard_normal((2000, 3))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            sklearn_hd.estimate_omega(noise[:, :1], noise[:, 1:], sample_time=0.01)
+            said = " ".join(str(each.message) for each in caught)
+        except ValueError as error:
+            said = str(error)
+    assert re.search("no orbit at .* may be any|no fundamental frequency stands out", said)
+
+
+def test_a_record_beside_its_trim_holds_no_sure_frequency():
+    data = make_flapping_wing(
+        "ltp", n_periods=120, start=5, width=3, samples_per_period=32, random_state=0
+    )
+    with (
+        pytest.warns(IdentifiabilityWarning, match="the outputs show no orbit at .* may be any"),
+        pytest.warns(IdentifiabilityWarning, match="explain the records better than"),
+    ):
+        sklearn_hd.estimate_omega(data.inputs, data.outputs)
 
 
 @pytest.mark.slow

@@ -23,7 +23,7 @@ from sklearn_hd import (
 )
 from sklearn_hd._report.page import digits, with_reach
 from sklearn_hd.datasets import make_flapping_wing
-from sklearn_hd.exceptions import IdentifiabilityWarning
+from sklearn_hd.exceptions import IdentifiabilityWarning, TimeBaseWarning
 
 SECTIONS = ["data", "harmonics", "order", "modes", "model", "residuals", "validation"]
 SECTIONS += ["warnings", "settings", "versions"]
@@ -223,6 +223,17 @@ def test_settings_tell_what_was_left(tmp_path):
     for name, value in plain(scale=False).get_params().items():
         how = "set" if name in ("order", "block_rows", "disturbance_model", "scale") else "default"
         assert f" {name} {value!r} {how}" in words(page.text["settings"])
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:X does not have valid feature names")
+def test_arrays_have_the_clock_of_the_fit(tmp_path):
+    data = make_flapping_wing("ltp", n_periods=30, start=5, width=3, snr=20, random_state=0)
+    steps = [("harmonics", HarmonicAnalyzer(data.omega)), ("identify", MOESPRegressor())]
+    pipe = Pipeline(steps).fit(data.inputs, data.outputs)
+    arrays = data.inputs.to_numpy(), data.outputs.to_numpy()
+    with pytest.warns(TimeBaseWarning, match="as at fit"):
+        check_whole(report(pipe, *arrays, tmp_path / "arrays.html"))
 
 
 def test_bad_input_is_named(tmp_path):

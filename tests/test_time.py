@@ -52,6 +52,31 @@ def test_the_unit_of_a_clock_is_no_jitter(start, unit):
     assert np.ptp(off) < 0.1 * unit + 4.0 * np.spacing(start)
 
 
+@pytest.mark.parametrize("start", [0.0, 1.7e9])
+@pytest.mark.parametrize("step", [1.0413e-3, 1.188e-3, 1.8e-3, 2.37e-3])
+def test_a_clock_as_coarse_as_the_samples_is_refused(start, step):
+    """Milliseconds of 420 to 960 Hz: the longer steps are no gaps, and the step is named."""
+    time = start + 1e-3 * np.round(step / 1e-3 * np.arange(1600))
+    with pytest.raises(ValueError, match=r"rounded to 0.001.* s: too coarse") as raised:
+        read_time(frame(time))
+    named = float(str(raised.value).split("np.arange(len(X)) * ")[1].split(",")[0])
+    assert named == pytest.approx(step, abs=1e-3 / 1500)
+
+
+def test_rows_lost_at_random_are_no_coarse_clock(rng):
+    rows = np.arange(1600)
+    for share in (0.02, 0.1, 0.3):
+        time = 1e-3 * rows[rng.random(1600) > share]
+        assert read_time(frame(time)).sample_time == pytest.approx(1e-3)
+
+
+def test_every_tenth_row_lost_may_be_a_coarse_clock():
+    rows = np.arange(1600)
+    with pytest.warns(JitterWarning, match="every 10th is missing; if they are rounded, index X"):
+        base = read_time(frame(1e-3 * rows[rows % 10 < 9]))
+    assert len(base.segments) == 160
+
+
 @pytest.mark.parametrize("step", [DT, 4e-4, 1e-3])
 def test_jitter_of_one_unit_of_the_clock_is_jitter(rng, step):
     """Steps of an even clock are two neighbouring numbers of units, and many of them."""

@@ -307,7 +307,8 @@ def _refuse_lost_basis(X):
         raise ValueError(
             f"column {lost[0]!r} appears beside its own coefficients ({lost[0]}_0, …), but the "
             f"frame carries no harmonic basis: a step between HarmonicAnalyzer and this one has "
-            f"dropped it (concatenation, a scaler); apply such steps before the analyzer"
+            f"dropped it (concatenation, a scaler), or scikit-learn's transform_output='polars' "
+            f"has; apply such steps before the analyzer, and leave transform_output to pandas"
         )
 
 

@@ -76,9 +76,9 @@ def report(pipe, X, y, path, *, validation=None, units=None, title=None):
     ...     "Validation" in path.read_text(encoding="utf-8")
     True
     """
-    from sklearn_hd._report.page import checked_path
+    from sklearn_hd._checks import path_to_write
     from sklearn_hd._report.sections import whole_page
 
-    path = checked_path(path)
+    path = path_to_write(path, "report.html")
     path.write_text(whole_page(pipe, X, y, validation, units, title), encoding="utf-8")
     return path

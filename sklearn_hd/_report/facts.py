@@ -186,7 +186,10 @@ def _warn_again(pipe, X, y, analyzer, experiment, models):
     if analyzer is not None:
         place = [] if not isinstance(pipe, Pipeline) else [step for _, step in pipe.steps]
         before = place.index(analyzer) if analyzer in place else 0
-        clone(analyzer).fit(pipe[:before].transform(X) if before else X, y)
+        again = clone(analyzer)
+        if experiment.base.counted:  # rows as far apart as at the fit
+            again.set_params(sample_time=experiment.base.sample_time)
+        again.fit(pipe[:before].transform(X) if before else X, y)
     warn_of_mismatch(experiment)
     model, matcher = models
     opinion = None if model is None else model.model_.opinion

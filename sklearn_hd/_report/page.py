@@ -1,11 +1,9 @@
 """The frame of the page: its style, and values, tables and figures as HTML."""
 
 import base64
-import os
 from contextlib import contextmanager
 from html import escape
 from io import BytesIO
-from pathlib import Path
 from string import Template
 
 import matplotlib.pyplot as plt
@@ -65,21 +63,6 @@ $body
 </body>
 </html>
 """)
-
-
-def checked_path(path):
-    """The path of a file that can be written; ValueError names what is in the way."""
-    if not isinstance(path, str | os.PathLike):
-        raise TypeError(f"path={path!r} is no path; give the name of a file, such as 'report.html'")
-    path = Path(path)
-    if path.is_dir():
-        raise ValueError(f"path={str(path)!r} is a folder; give the name of a file within it")
-    if not path.parent.is_dir():
-        raise ValueError(
-            f"path={str(path)!r}: the folder {str(path.parent)!r} does not exist; make it, or give "
-            f"a path in a folder that exists"
-        )
-    return path
 
 
 def page(title, head, sections):

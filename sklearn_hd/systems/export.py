@@ -14,14 +14,13 @@ infinity is refused. ``LTPSystem``, the model steps and ``load_model`` need this
 
 import json
 from io import BytesIO
-from pathlib import Path
 
 import control
 import numpy as np
 from scipy.io import savemat
 from sklearn.exceptions import ConvergenceWarning
 
-from sklearn_hd._checks import check_count
+from sklearn_hd._checks import check_count, path_to_write
 from sklearn_hd._guards import warn
 from sklearn_hd.algorithms.linalg.rounding import PRECISION
 from sklearn_hd.algorithms.periodic.floquet import transition_matrices
@@ -51,7 +50,8 @@ def export_model(model, path, *, n_phases=64):
     Raises
     ------
     ValueError
-        If the suffix is another, a number is not finite, or the sample time is not given.
+        If the suffix is another, a number is not finite, the sample time is not given, or the
+        folder does not exist.
     OSError
         If the file cannot be written.
 
@@ -129,7 +129,7 @@ def write(contents, path):
         Of texts, numbers, sequences of names, and arrays.
     path : str or path-like
     """
-    path = Path(path)
+    path = path_to_write(path, "model.json")
     kinds = {".json": _write_json, ".mat": _write_mat}
     if path.suffix.lower() not in kinds:
         raise ValueError(

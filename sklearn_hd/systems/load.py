@@ -1,12 +1,11 @@
 """Load models from the JSON files of ``systems/export.py``; users call ``load_model``."""
 
 import json
-from pathlib import Path
 
 import control
 import numpy as np
 
-from sklearn_hd._checks import real_array
+from sklearn_hd._checks import path_of_file, real_array
 from sklearn_hd.systems.export import FORMAT, SCHEMA
 from sklearn_hd.systems.ltp import LTPSystem
 
@@ -32,8 +31,11 @@ def load_model(path):
 
     Raises
     ------
+    TypeError
+        If the path is no path.
     ValueError
-        If it is not such a file, has a later schema, or something is missing or does not fit.
+        If it is a folder or not such a file, has a later schema, or something is missing or does
+        not fit.
     OSError
         If the file cannot be read.
 
@@ -51,7 +53,7 @@ def load_model(path):
     >>> bool(np.all(load_model(path).F(0.3) == system.F(0.3)))
     True
     """
-    path = Path(path)
+    path = path_of_file(path, "model.json")
     if path.suffix.lower() == ".mat":
         raise ValueError(f"path={str(path)!r} is for MATLAB; export to .json to load it again")
     try:

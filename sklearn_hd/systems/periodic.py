@@ -14,6 +14,7 @@ from sklearn_hd._checks import (
     check_positive,
     real_array,
 )
+from sklearn_hd.algorithms.linalg.rounding import HALF
 from sklearn_hd.algorithms.periodic.harmonic_balance import (
     evaluate_harmonics,
     resize_harmonics,
@@ -31,6 +32,7 @@ from sklearn_hd.systems.arguments import (
 from sklearn_hd.systems.ltp import LTPSystem
 
 STEPS_PER_PERIOD = 64  # longest first step of the integrator
+PHASES = 8  # of a trim, at most of which f has to be the same a period later
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,7 +257,8 @@ class PeriodicSystem(NamedSignals):
         TrimError
             If Newton's method fails; the message names the residual and a way out.
         ValueError
-            If names are unknown, or targets and free inputs differ in number.
+            If names are unknown, targets and free inputs differ in number, or f is another a
+            period later.
         """
         N = check_count("n_harmonics", n_harmonics, 0, "0 keeps the mean alone")
         check_choice("method", method, ("harmonic_balance", "shooting"))
@@ -279,7 +282,9 @@ class PeriodicSystem(NamedSignals):
         if method == "shooting":
             x0, u, residual = solve_shooting(self.f, self.period, x0, u, free=free, targets=targets)
             X = self._orbit_coefficients(x0, u, N, n_points)
-        return Trim(self.omega, X, u, x0, residual, method, self.state_names, self.input_names)
+        trim = Trim(self.omega, X, u, x0, residual, method, self.state_names, self.input_names)
+        self._check_repeats(trim)
+        return trim
 
     def linearize(self, trim):
         """Linear time-periodic system of small motions about a trim (Eqs. 4 to 6).
@@ -416,6 +421,19 @@ class PeriodicSystem(NamedSignals):
                 f"inputs={{name: value}}, or change targets, so that there are as many of each"
             )
         return [self.input_names.index(name) for name in rest]
+
+    def _check_repeats(self, trim):
+        """Raise ValueError if f is another a period later, at most of some azimuths of a trim."""
+        psi = np.arange(1, 2 * PHASES, 2)  # of no common part of a turn
+        x, t = trim.states(psi).T, psi / self.omega
+        u = np.repeat(trim.inputs[:, None], PHASES, axis=1)
+        here, later = (np.asarray(self.f(x, u, each), float) for each in (t, t + self.period))
+        apart = np.median(np.max(np.abs(later - here), axis=0))
+        if apart > HALF * np.max(np.abs(here)):
+            raise ValueError(
+                f"f differs by {apart:.3g} a period of {self.period:.6g} s later, at most azimuths "
+                f"of the trim: period is 2π/omega in seconds, not omega, nor a part of it"
+            )
 
     def _orbit_coefficients(self, x0, u, n_harmonics, n_points):
         """Fourier coefficients of the orbit through x0."""

@@ -371,8 +371,10 @@ def floquet_exponents(F, omega, *, tolerance=1e-14):
     [-1.0, -200.0]
     """
     period = 2.0 * np.pi / omega
-    units = state_units(F)
     values = F(np.linspace(0.0, 2.0 * np.pi, 256, endpoint=False))
+    if not values.shape[-1]:
+        return np.zeros(0, dtype=complex)
+    units = state_units(F)
     size = np.max(np.linalg.norm(values * (units / units[:, None]), axis=(1, 2)), initial=0.0)
     n_factors = int(np.clip(np.ceil(size * period / ROTATION), MIN_FACTORS, MAX_FACTORS))
     psi = np.linspace(0.0, 2.0 * np.pi, n_factors + 1)

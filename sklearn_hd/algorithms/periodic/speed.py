@@ -164,8 +164,7 @@ def orbit_share(segments, omega, n_harmonics):
 def _sought(segments, omega, n_harmonics):
     """Segments as they are read, predictors at some speed and at that of the orbit; or None."""
     segments = _alike(_some_rows(segments))
-    n_rows = sum(len(y) for _, y, _ in segments)
-    layout = _layout(segments, n_rows, n_harmonics)
+    layout = _layout(segments, n_harmonics)
     turns = _span(segments) * omega / (2.0 * np.pi)
     if n_harmonics < 1 or layout is None or turns < LEAST_TURNS:
         return None
@@ -227,8 +226,7 @@ def _is_of_halves(segments, given, found, n_harmonics):
     """
     gain = HALVES * np.expm1(given.left - found.left) / 4.0
     for half in _halves(segments):
-        n_rows = sum(len(y) for _, y, _ in half)
-        layout = _layout(half, n_rows, n_harmonics) if n_rows else None
+        layout = _layout(half, n_harmonics) if half else None
         if layout is None or _span(half) * given.omega / (2.0 * np.pi) < LEAST_TURNS:
             continue
         here, there = (_Predicted.of(half, each.omega, layout) for each in (given, found))
@@ -242,11 +240,12 @@ def _span(segments):
     return np.ptp([t for *_, time in segments for t in time[[0, -1]]])
 
 
-def _layout(segments, n_rows, n_loads):
-    """The predictor that so many rows determine; None where that is none."""
+def _layout(segments, n_loads):
+    """The predictor that the rows with all of its lags determine; None where that is none."""
     m, n_outputs = segments[0][0].shape[1], segments[0][1].shape[1]
     for lags in range(LAGS, 0, -1):
         layout = Layout(m, n_outputs, lags, 1, ORBITS, n_loads, False)
+        n_rows = sum(max(len(y) - lags, 0) for _, y, _ in segments)
         if n_rows >= ROWS_PER_COLUMN * layout.n_columns:
             return layout
     return None

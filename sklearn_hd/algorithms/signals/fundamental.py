@@ -28,7 +28,7 @@ from scipy.ndimage import convolve1d, median_filter
 from scipy.optimize import minimize_scalar
 from scipy.signal import detrend, periodogram
 
-from sklearn_hd._checks import check_numbers
+from sklearn_hd._checks import check_fraction, check_numbers
 from sklearn_hd.algorithms.linalg.rounding import TINY
 
 HARMONICS = 6
@@ -124,9 +124,18 @@ def estimate_omega(inputs, outputs, sample_time, omega=None, span=SPAN, starts=N
     estimate : OmegaEstimate
         Where least is left unexplained.
     """
-    hint = "seconds from row to row, rad/s, and a share of omega"
-    given = {} if omega is None else {"omega": omega}
-    check_numbers("positive", hint, sample_time=sample_time, span=span, **given)
+    check_numbers("positive", "seconds from row to row", sample_time=sample_time)
+    check_fraction("span", span, "how far to search to either side, as a share of the guess")
+    if omega is not None:
+        check_numbers(
+            "positive", "rad/s, about where to search; None asks the spectrum", guess=omega
+        )
+    longest = max(map(len, outputs))
+    if longest < 2 * FEWEST:
+        raise ValueError(
+            f"the longest of {len(outputs)} segments holds {longest} rows, and {FEWEST} periods "
+            f"take {2 * FEWEST} rows at least; use a longer record, or fill lost rows"
+        )
     if omega is None:
         omega = comb_in_spectrum(outputs, sample_time)
     periods = _Periods(inputs, outputs, sample_time, omega, starts)
@@ -234,7 +243,8 @@ class _Periods:
     def __init__(self, inputs, outputs, sample_time, omega, starts=None):
         self.omega, self.n_outputs = omega, outputs[0].shape[1]
         self.given, self.starts_given = (inputs, outputs, sample_time), (starts,)
-        block = max(1, int(2.0 * np.pi / (omega * sample_time * 4 * HARMONICS)))
+        block = int(2.0 * np.pi / (omega * sample_time * 4 * HARMONICS))
+        block = int(np.clip(block, 1, max(map(len, outputs))))
         signals = [_unit(outputs), _unit(inputs)]
         signals = [np.hstack([y, u]) for y, u in zip(*signals, strict=True)]
         self.signals = [
@@ -261,7 +271,8 @@ class _Periods:
     def reciprocal_noise(self):
         """Of each output: sixth differences are those of noise, as harmonics are smooth."""
         outputs = [z[:, : self.n_outputs] for z in self.signals]
-        power = np.mean(np.concatenate([np.diff(y, 6, axis=0) for y in outputs]) ** 2, axis=0)
+        rest = np.concatenate([np.diff(y, 6, axis=0) for y in outputs])
+        power = np.sum(rest**2, axis=0) / max(len(rest), 1)
         return 1.0 / np.sqrt(np.maximum(power / math.comb(12, 6), FLOOR**2))
 
     def turns(self, omega, slope=0.0):
