@@ -291,7 +291,7 @@ def check_motion(facts):
         raise ValueError(
             f"input {facts.still[0]!r} is constant in the {facts.span()} (changes below "
             f"{SMALLEST:g} count as zero), so nothing excites the system; choose a span in which "
-            f"it moves, or drop that input"
+            f"it moves, or drop that input{facts.why_short}"
         )
     moves, off = facts.outputs_move, facts.outputs_off
     if not moves.any():

@@ -126,6 +126,10 @@ def _as_array(data, what):
         )
     if isinstance(data, np.ma.MaskedArray):
         return data.astype(np.result_type(data.dtype, np.float32)).filled(np.nan)
+    if getattr(getattr(data, "dtype", None), "names", None):
+        raise TypeError(
+            f"{what} is an array of named fields; make it a DataFrame: pd.DataFrame({what})"
+        )
     try:
         return np.asarray(data)
     except ValueError:
@@ -304,11 +308,15 @@ def read_time(data, sample_time=None, time_origin=None, row_time=None):
 def _tell_of_coarse_clock(seconds, bounds, steps):
     """Say so if times are even ones that are rounded to a unit nearly as long as their steps.
 
-    Steps then are n or n + 1 units, n being one or two, and rows are within half a unit of a line,
-    which rows lost at random are not. Rows of which every so many is lost are: then it may be both.
+    Steps then are n or n + 1 units (1, 2 or 5 of a decimal), n being one or two, and rows are
+    within half a unit of a line, which rows lost at random are not. Rows of which every so many is
+    lost are: then it may be both.
     """
     unit = float(np.ptp(steps)) if steps.size else 0.0
     if not unit or unit <= 2.0 * JITTER_LIMIT * np.median(steps):
+        return
+    decimal = unit / 10.0 ** np.floor(np.log10(unit))
+    if np.min(np.abs(decimal / np.array([1.0, 2.0, 5.0, 10.0]) - 1.0)) > WHOLE:
         return
     counts = np.rint(steps / unit)
     short = counts == counts.min()
