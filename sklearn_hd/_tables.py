@@ -287,7 +287,8 @@ def read_time(data, sample_time=None, time_origin=None, row_time=None):
     if counted:
         unit = unit if sample_time is None else sample_time
     else:
-        _tell_of_coarse_clock(seconds, bounds, steps)
+        if sample_time is None:
+            _tell_of_coarse_clock(seconds, bounds, steps)
         near = [run for a, b in itertools.pairwise(bounds) for run in _near(seconds, a, b, unit)]
         unit, _, uncertainty = _mean_step(seconds, near, unit)
     segments, records = [], []
@@ -308,46 +309,67 @@ def read_time(data, sample_time=None, time_origin=None, row_time=None):
 def _tell_of_coarse_clock(seconds, bounds, steps):
     """Say so if times are even ones that are rounded to a unit nearly as long as their steps.
 
-    Steps then are n or n + 1 units (1, 2 or 5 of a decimal), n being one or two, and rows are
-    within half a unit of a line, which rows lost at random are not. Rows of which every so many is
-    lost are: then it may be both.
+    Steps then are n or n + 1 units (1, 2 or 5 of a decimal), n being one or two, the rarer of them
+    about as many rows apart, and rows are within half a unit of a line. Rows lost at random are
+    not; rows of which every so many is lost are, and may be both.
     """
-    unit = float(np.ptp(steps)) if steps.size else 0.0
-    if not unit or unit <= 2.0 * JITTER_LIMIT * np.median(steps):
+    n, unit = _coarse_unit(steps)
+    parts = [part for ends in itertools.pairwise(bounds) for part in _even(seconds, *ends, n, unit)]
+    rows, every, short = max(parts, key=lambda part: len(part[1]), default=(None, [], 1.0))
+    if len(every) < SEVERAL or (n == 2 and short < 0.5):
         return
-    decimal = unit / 10.0 ** np.floor(np.log10(unit))
-    if np.min(np.abs(decimal / np.array([1.0, 2.0, 5.0, 10.0]) - 1.0)) > WHOLE:
+    k = np.arange(rows.stop - rows.start) - 0.5 * (rows.stop - rows.start - 1)
+    own = seconds[rows] - seconds[rows].mean()
+    step = float(k @ own / (k @ k))
+    if np.ptp(own - step * k) > ROUNDED_BY * unit:
         return
-    counts = np.rint(steps / unit)
-    short = counts == counts.min()
-    rarer = np.flatnonzero(short if 2 * short.sum() < len(short) else ~short)
-    whole = counts.min() in (1.0, 2.0) and np.max(np.abs(steps / unit - counts)) <= WHOLE
-    if not whole or len(rarer) < SEVERAL or _off_a_line(seconds, bounds) > ROUNDED_BY * unit:
-        return
-    step, every = float(np.mean(steps)), np.diff(rarer)
-    way = f"index X by np.arange(len(X)) * {step:.9g}, or by times that are not rounded"
-    few, many = counts.min(), counts.max()
     told = (
-        f"steps from row to row are {few:.0f} or {many:.0f} times {unit:.6g} s, as those of times "
-        f"are that are {step:.6g} s apart and rounded to {unit:.6g} s"
+        f"steps from row to row are {n} or {n + 1} times {unit:.6g} s, as those of times are that "
+        f"are {step:.6g} s apart and rounded to {unit:.6g} s"
     )
-    if np.ptp(every) > 0 or np.median(counts) > 1.0:
-        raise ValueError(f"{told}: too coarse to tell which rows are missing; {way}")
+    way = (
+        f"if they are rounded, give each record even times, start + np.arange(n_rows) * "
+        f"{step:.9g}; if rows are missing, give sample_time={unit:.6g}"
+    )
+    if n == 2 or np.ptp(every) > 0 or short < 0.45:
+        raise ValueError(f"{told}, or of rows that are missing: {way}")
     warn(
-        f"{told}; they are read as rows {unit:.6g} s apart, of which every {every[0] + 1}th is "
-        f"missing; if they are rounded, {way}",
+        f"{told}; they are read as rows {unit:.6g} s apart, of which one in {every[0] + 1} is "
+        f"missing: {way}",
         JitterWarning,
     )
 
 
-def _off_a_line(seconds, bounds):
-    """Seconds from the row that is latest to the earliest, each record about its own line."""
-    off = []
-    for a, b in itertools.pairwise(bounds):
-        rows = np.arange(b - a) - 0.5 * (b - a - 1)
-        own = seconds[a:b] - seconds[a:b].mean()
-        off.append(np.ptp(own - rows * (rows @ own) / max(rows @ rows, 1.0)))
-    return max(off)
+def _coarse_unit(steps):
+    """n and the unit of a clock, of which the shortest steps are one or two; 0 and 0 if none is."""
+    least = steps.min() if steps.size else 0.0
+    for n in (1, 2) if least > 0.0 else ():
+        unit = least / n
+        decimals = 10.0 ** np.floor(np.log10(unit)) * np.array([1.0, 2.0, 5.0, 10.0])
+        unit = float(decimals[np.argmin(np.abs(decimals - unit))])
+        if np.max(np.abs(steps / unit - np.rint(steps / unit))) <= WHOLE and least >= 0.5 * unit:
+            return n, unit
+    return 0, 0.0
+
+
+def _even(seconds, start, stop, n, unit):
+    """Parts of a record whose steps are n or n + 1 units, the rarer about as many rows apart.
+
+    Yields their rows, from one of the rarer steps to another, how many rows are between these, and
+    the share of the short ones.
+    """
+    counts = np.rint(np.diff(seconds[start:stop]) / unit) if n else np.zeros(0)
+    if not len(counts):
+        return
+    short = float(np.mean(counts == n))
+    places = np.flatnonzero(counts == (n if short < 0.5 else n + 1))
+    every = np.diff(places)
+    even = np.abs(every - np.median(every)) <= 2.0 if len(every) else every
+    even &= np.maximum.reduceat(counts, places)[:-1] <= n + 1 if len(every) else even
+    edges = [-1, *np.flatnonzero(~even).tolist(), len(even)]
+    for a, b in itertools.pairwise(edges):
+        if b > a + 1:
+            yield slice(start + places[a + 1], start + places[b] + 1), every[a + 1 : b], short
 
 
 def _first_steps(seconds, bounds):

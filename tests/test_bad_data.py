@@ -494,5 +494,5 @@ def test_rows_lost_so_often_that_no_segment_is_long(kept):
     told = pytest.raises(
         ValueError, match=r"\(the \d+ rows fall into \d+ segments: they are 1 sampl"
     )
-    with pytest.warns(JitterWarning, match="is missing; if they are rounded"), told:
+    with pytest.warns(JitterWarning, match="is missing: if they are rounded"), told:
         pipe.fit(rotor.inputs[some], rotor.outputs[some])

@@ -392,18 +392,39 @@ def test_numbers_that_estimate_omega_takes(name, message, value):
         estimate_omega([np.zeros((90, 1))], [np.ones((90, 1))], **given)
 
 
+def forced(x, u, t):
+    return -x + u + np.cos(2.0 * t)
+
+
+def parametric(x, u, t):
+    return np.array([x[1], -(1.0 + 0.4 * np.cos(2.0 * t)) * x[0] - 0.2 * x[1] + u[0]])
+
+
 @pytest.mark.parametrize("period", [2.0, 1.0 / 2.0, 3.0 * np.pi / 2.0])
 def test_a_period_after_which_f_is_another(period):
-    """2, 1/2 and 3π/2 s instead of π s; f of no time at all has any."""
-
-    def forced(x, u, t):
-        return -x + u + np.cos(2.0 * t)
-
+    """2, 1/2 and 3π/2 s instead of π s, of f or of its derivative; f of no time has any."""
     names = {"state_names": ["a"], "input_names": ["b"]}
     with pytest.raises(ValueError, match=r"a period of .* s later, .*: period is 2π/omega in sec"):
         PeriodicSystem(forced, period=period, **names).trim(3)
-    assert PeriodicSystem(forced, period=np.pi, **names).trim(3).residual < 1e-9
     assert PeriodicSystem(decay, period=period, **names).trim(3).residual < 1e-9
+    names["state_names"] = ["a", "a_dot"]
+    with pytest.raises(ValueError, match=r"a period of .* s later, .*: period is 2π/omega in sec"):
+        PeriodicSystem(parametric, period=period, **names).trim(3)
+
+
+@pytest.mark.parametrize("digits", [5, 7, 15])
+@pytest.mark.parametrize("held", [0.0, 0.7, 9.81])
+def test_rounding_of_forces_or_of_a_period_is_no_other_f(digits, held):
+    """In trim, forces sum to rounding alone."""
+
+    def balanced(x, u, t):
+        turning = 2.0 + np.cos(2.0 * t)
+        return turning * (u - held) - 0.1 * turning * x
+
+    names = {"state_names": ["a"], "input_names": ["b"]}
+    for f, most in ((balanced, 1e-9), (forced, 1e-4)):
+        system = PeriodicSystem(f, period=np.round(np.pi, digits), **names)
+        assert system.trim(3, inputs={"b": held}).residual < most
 
 
 def test_a_system_of_no_states_has_no_exponents():

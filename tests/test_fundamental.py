@@ -192,6 +192,12 @@ def test_nothing_to_tell_it_from():
     assert omega_mismatch([still[:60]] * 40, short, 1 / 32, 2 * np.pi) is None
     rows = [rng.standard_normal((4, 1))] * 600
     assert omega_mismatch([still[:4]] * 600, rows, 1 / 32, 2 * np.pi) is None
+    wave = np.cos(np.pi / 2 * np.arange(7200) + 0.3) + 0.02 * rng.standard_normal(7200)
+    parts = [slice(18 * k, 18 * k + 15) for k in range(400)]  # of four rows a turn
+    moved = [rng.standard_normal((15, 1)) for _ in parts]
+    starts = [float(part.start) for part in parts]
+    found = estimate_omega(moved, [wave[part, None] for part in parts], 1.0, 1.57, starts=starts)
+    assert abs(found.omega - np.pi / 2) < 4.0 * found.std < 1e-5
     with pytest.raises(
         ValueError, match="longest of 600 segments holds 4 rows, and 8 periods take"
     ):

@@ -53,14 +53,18 @@ def test_the_unit_of_a_clock_is_no_jitter(start, unit):
 
 
 @pytest.mark.parametrize("start", [0.0, 1.7e9])
-@pytest.mark.parametrize("step", [1.0413e-3, 1.188e-3, 1.8e-3, 2.37e-3])
-def test_a_clock_as_coarse_as_the_samples_is_refused(start, step):
+@pytest.mark.parametrize(
+    ("step", "lost"),
+    [(step, []) for step in (1.0413e-3, 1.188e-3, 1.25e-3, 1.8e-3, 2.37e-3)]
+    + [(1.0413e-3, [700]), (1.188e-3, [700]), (1.8e-3, [700])],
+)
+def test_a_clock_as_coarse_as_the_samples_is_refused(start, step, lost):
     """Milliseconds of 420 to 960 Hz: the longer steps are no gaps, and the step is named."""
-    time = start + 1e-3 * np.round(step / 1e-3 * np.arange(1600))
-    with pytest.raises(ValueError, match=r"rounded to 0.001.* s: too coarse") as raised:
+    time = np.delete(start + 1e-3 * np.round(step / 1e-3 * np.arange(1600)), lost)
+    with pytest.raises(ValueError, match=r"rounded to 0.001 s, or of rows that are miss") as raised:
         read_time(frame(time))
-    named = float(str(raised.value).split("np.arange(len(X)) * ")[1].split(",")[0])
-    assert named == pytest.approx(step, abs=1e-3 / 1500)
+    named = float(str(raised.value).split("np.arange(n_rows) * ")[1].split(";")[0])
+    assert named == pytest.approx(step, rel=5e-5)
 
 
 def test_rows_lost_at_random_are_no_coarse_clock(rng):
@@ -68,15 +72,25 @@ def test_rows_lost_at_random_are_no_coarse_clock(rng):
     for share in (0.02, 0.1, 0.3):
         time = 1e-3 * rows[rng.random(1600) > share]
         assert read_time(frame(time)).sample_time == pytest.approx(1e-3)
+    records = [(k, 1e-2 * i) for k in range(25) for i in np.delete(rows[:200], 20 + k)]
+    assert read_time(frame(pd.MultiIndex.from_tuples(records))).sample_time == pytest.approx(1e-2)
+    nearly = 1e-3 * np.delete(np.arange(5000), 100 * np.arange(1, 50) + rng.integers(-2, 3, 49))
+    assert len(read_time(frame(nearly)).segments) == 50
 
 
-def test_every_tenth_row_lost_may_be_a_coarse_clock():
-    rows = np.arange(1600)
-    with pytest.warns(JitterWarning, match="every 10th is missing; if they are rounded, index X"):
-        base = read_time(frame(1e-3 * rows[rows % 10 < 9]))
-    assert len(base.segments) == 160
+def test_who_gives_the_sample_time_has_told():
+    time = 1e-3 * np.round(1.188 * np.arange(1600))
+    assert len(read_time(frame(time), sample_time=1e-3).segments) > 200
+
+
+@pytest.mark.parametrize("n_rows", [1600, 1601, 1602])
+@pytest.mark.parametrize("every", [3, 10])
+def test_every_tenth_row_lost_may_be_a_coarse_clock(every, n_rows):
+    rows = np.arange(n_rows)
+    with pytest.warns(JitterWarning, match=f"one in {every} is missing: if they are rounded, give"):
+        read_time(frame(1e-3 * rows[rows % every < every - 1]))
     base = read_time(frame(DT * rows[rows % 10 < 9]))  # no clock has such a unit
-    assert len(base.segments) == 160
+    assert len(base.segments) == n_rows // 10 + (n_rows % 10 > 0)
 
 
 @pytest.mark.parametrize("step", [DT, 4e-4, 1e-3])

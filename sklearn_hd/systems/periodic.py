@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sklearn_hd._checks import (
+    LITTLE,
     check_choice,
     check_count,
     check_flag,
@@ -14,7 +15,6 @@ from sklearn_hd._checks import (
     check_positive,
     real_array,
 )
-from sklearn_hd.algorithms.linalg.rounding import HALF
 from sklearn_hd.algorithms.periodic.harmonic_balance import (
     evaluate_harmonics,
     resize_harmonics,
@@ -423,16 +423,26 @@ class PeriodicSystem(NamedSignals):
         return [self.input_names.index(name) for name in rest]
 
     def _check_repeats(self, trim):
-        """Raise ValueError if f is another a period later, at most of some azimuths of a trim."""
+        """Raise ValueError if f, or its derivative, is another a period later.
+
+        At most of some azimuths of a trim, by more than a part of its terms.
+        """
         psi = np.arange(1, 2 * PHASES, 2)  # of no common part of a turn
         x, t = trim.states(psi).T, psi / self.omega
         u = np.repeat(trim.inputs[:, None], PHASES, axis=1)
-        here, later = (np.asarray(self.f(x, u, each), float) for each in (t, t + self.period))
-        apart = np.median(np.max(np.abs(later - here), axis=0))
-        if apart > HALF * np.max(np.abs(here)):
+        now, later = (
+            (np.asarray(self.f(x, u, each), float).T, *self.jacobian(x, u, each)[:2])
+            for each in (t, t + self.period)
+        )
+        (f, F, G), (f_later, F_later, _) = now, later
+        terms = np.abs(F) @ (np.abs(x.T) + LITTLE)[..., None] + np.abs(G) @ np.abs(u.T)[..., None]
+        size = np.max(np.abs(f), axis=0) + np.max(terms, axis=0)[:, 0]
+        apart = np.abs(f_later - f) > LITTLE * size
+        apart_slopes = np.abs(F_later - F) > LITTLE * np.max(np.abs(F))
+        if np.mean(np.any(apart, axis=1) | np.any(apart_slopes, axis=(1, 2))) > 0.5:
             raise ValueError(
-                f"f differs by {apart:.3g} a period of {self.period:.6g} s later, at most azimuths "
-                f"of the trim: period is 2π/omega in seconds, not omega, nor a part of it"
+                f"f, or its derivative by x, is another a period of {self.period:.6g} s later, at "
+                f"most azimuths of the trim: period is 2π/omega in seconds, not omega"
             )
 
     def _orbit_coefficients(self, x0, u, n_harmonics, n_points):

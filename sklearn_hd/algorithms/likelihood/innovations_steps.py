@@ -84,7 +84,7 @@ def most_likely(
     innovations = _with_loads(innovations, layout)
     form = _Form.of(innovations, layout)
     counted, n_free = _counted(segments, counted), len(form.places)
-    told = list(_telling(segments, int(MOST_NUMBERS / n_free / layout.n_outputs)))
+    told = list(_telling(segments, counted, int(MOST_NUMBERS / n_free / layout.n_outputs)))
     at = fitted(innovations, segments, sensor_noise, counted)
     if at is None:
         return None
@@ -145,8 +145,8 @@ def next_step(innovations, segments, layout, sensor_noise, n_inputs):
     at = fitted(innovations, segments, sensor_noise)
     if at is None:
         return None
-    told = _telling(segments, int(MOST_NUMBERS / len(form.places) / layout.n_outputs))
-    system = form.system(at, list(told))
+    n_rows = int(MOST_NUMBERS / len(form.places) / layout.n_outputs)
+    system = form.system(at, list(_telling(segments, at.counted, n_rows)))
     beyond = system.beyond_noise(form.driven_beyond(innovations, n_inputs))
     return NextStep(beyond, form.ahead(at, system, RANK)[1:])
 
@@ -170,9 +170,11 @@ def _counted(segments, counted):
     return [slice(None)] * len(segments) if counted is None else counted
 
 
-def _telling(segments, n_rows):
-    """Rows of each segment in the stretch of so many rows in which outputs move most."""
-    squares = [np.sum(y**2, axis=1) for _, y, _ in segments]
+def _telling(segments, counted, n_rows):
+    """Rows of each segment in the stretch of so many rows of which those that count move most."""
+    squares = [np.zeros(len(y)) for _, y, _ in segments]
+    for own, (_, y, _), some in zip(squares, segments, counted, strict=True):
+        own[some] = np.sum(y[some] ** 2, axis=1)
     motion = np.cumsum(np.concatenate([[0.0], *squares]))
     n_rows = min(n_rows, len(motion) - 1)
     first, end = int(np.argmax(motion[n_rows:] - motion[: len(motion) - n_rows])), 0

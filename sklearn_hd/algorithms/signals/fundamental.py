@@ -127,14 +127,13 @@ def estimate_omega(inputs, outputs, sample_time, omega=None, span=SPAN, starts=N
     check_numbers("positive", "seconds from row to row", sample_time=sample_time)
     check_fraction("span", span, "how far to search to either side, as a share of the guess")
     if omega is not None:
-        check_numbers(
-            "positive", "rad/s, about where to search; None asks the spectrum", guess=omega
-        )
+        hint = "rad/s, about where to search; None asks the spectrum"
+        check_numbers("positive", hint, guess=omega)
     longest = max(map(len, outputs))
-    if longest < 2 * FEWEST:
+    if omega is None and longest < 2 * FEWEST:
         raise ValueError(
             f"the longest of {len(outputs)} segments holds {longest} rows, and {FEWEST} periods "
-            f"take {2 * FEWEST} rows at least; use a longer record, or fill lost rows"
+            f"take {2 * FEWEST} rows at least; give a guess, or fill lost rows"
         )
     if omega is None:
         omega = comb_in_spectrum(outputs, sample_time)

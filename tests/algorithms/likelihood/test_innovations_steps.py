@@ -143,10 +143,13 @@ def test_the_stretch_told_is_that_in_which_outputs_move_most(rng):
     y[1, 80:] += 1.0
     y[2, :10] -= 1.0
     some = [(None, each, None) for each in y]
-    told = [(each.start, each.stop) for each in _telling(some, 30)]
+    all_rows = [slice(None)] * 3
+    told = [(each.start, each.stop) for each in _telling(some, all_rows, 30)]
     assert told[0][1] - told[0][0] == 0
     assert told[1:] == [(80, 100), (0, 10)]
-    assert [(each.start, each.stop) for each in _telling(some, 999)] == [(0, 100)] * 3
+    assert [(each.start, each.stop) for each in _telling(some, all_rows, 999)] == [(0, 100)] * 3
+    first = [slice(None), slice(0), slice(0)]  # of which alone rows count
+    assert [each.stop - each.start for each in _telling(some, first, 30)] == [30, 0, 0]
 
 
 @pytest.mark.parametrize("why", ["short", "overflowing"])
