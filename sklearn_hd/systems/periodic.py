@@ -257,8 +257,8 @@ class PeriodicSystem(NamedSignals):
         TrimError
             If Newton's method fails; the message names the residual and a way out.
         ValueError
-            If names are unknown, targets and free inputs differ in number, or f is another a
-            period later.
+            If names are unknown, targets and free inputs differ in number, or f is not the same
+            a period later.
         """
         N = check_count("n_harmonics", n_harmonics, 0, "0 keeps the mean alone")
         check_choice("method", method, ("harmonic_balance", "shooting"))
@@ -423,7 +423,7 @@ class PeriodicSystem(NamedSignals):
         return [self.input_names.index(name) for name in rest]
 
     def _check_repeats(self, trim):
-        """Raise ValueError if f, or its derivative, is another a period later.
+        """Raise ValueError if f, or its derivative, is not the same a period later.
 
         At most of some azimuths of a trim, by more than a part of its terms.
         """
@@ -441,8 +441,8 @@ class PeriodicSystem(NamedSignals):
         apart_slopes = np.abs(F_later - F) > LITTLE * np.max(np.abs(F))
         if np.mean(np.any(apart, axis=1) | np.any(apart_slopes, axis=(1, 2))) > 0.5:
             raise ValueError(
-                f"f, or its derivative by x, is another a period of {self.period:.6g} s later, at "
-                f"most azimuths of the trim: period is 2π/omega in seconds, not omega"
+                f"f (or its derivative by x) is not the same a period of {self.period:.6g} s later, "
+                f"at most azimuths of the trim: period is 2π/omega in seconds, not omega"
             )
 
     def _orbit_coefficients(self, x0, u, n_harmonics, n_points):
