@@ -185,7 +185,6 @@ MOST_DECIMALS = 9  # of times in seconds, whose rounding is told from jitter
 ROUNDS_BY = 0.6  # of a clock's unit: a half, and what a fitted line may be off
 SEVERAL = 20  # steps that are longer or shorter, by which a clock shows
 WHOLE = 0.01  # of a clock's unit, by which the floats of a time may miss it
-ROUNDED_BY = 1.25  # units from the latest row to the earliest: one, and what the line is off
 JITTER_LIMIT = 0.2  # of the sample time, by which the instant of a row may be off
 
 
@@ -321,7 +320,7 @@ def _tell_of_coarse_clock(seconds, bounds, steps):
     k = np.arange(rows.stop - rows.start) - 0.5 * (rows.stop - rows.start - 1)
     own = seconds[rows] - seconds[rows].mean()
     step = float(k @ own / (k @ k))
-    if np.ptp(own - step * k) > ROUNDED_BY * unit:
+    if np.ptp(own - step * k) > 2.0 * ROUNDS_BY * unit:
         return
     told = (
         f"steps from row to row are {n} or {n + 1} times {unit:.6g} s, as those of times are that "

@@ -441,8 +441,8 @@ class PeriodicSystem(NamedSignals):
         apart_slopes = np.abs(F_later - F) > LITTLE * np.max(np.abs(F))
         if np.mean(np.any(apart, axis=1) | np.any(apart_slopes, axis=(1, 2))) > 0.5:
             raise ValueError(
-                f"f (or its derivative by x) is not the same a period of {self.period:.6g} s later, "
-                f"at most azimuths of the trim: period is 2π/omega in seconds, not omega"
+                f"f, or its derivative by x, is not the same a period of {self.period:.6g} s "
+                f"later, at most azimuths of the trim: period is 2π/omega in seconds, not omega"
             )
 
     def _orbit_coefficients(self, x0, u, n_harmonics, n_points):
