@@ -16,7 +16,7 @@ from matplotlib.patches import FancyBboxPatch
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "sklearn_hd"
-TOOLS = {"exceptions", "_checks", "_guards", "_tables"}
+TOOLS = {"exceptions", "_checks", "_guards", "_clock", "_containers"}
 STEPS = ("harmonics", "subspace", "reduction", "matching")
 SIDE_BY_SIDE = (
     *STEPS,

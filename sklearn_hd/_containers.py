@@ -1,9 +1,13 @@
-"""Tables of other libraries, lists of records, and tables with a clock among their signals."""
+"""Tables that users give, of pandas and others: what they may be, and their values as floats."""
 
 import re
 
 import numpy as np
 import pandas as pd
+from scipy.sparse import issparse
+
+from sklearn_hd._guards import searches, warn
+from sklearn_hd.exceptions import TimeBaseWarning
 
 Table = pd.DataFrame | pd.Series
 CLOCK = re.compile(
@@ -140,3 +144,167 @@ def _way(data, name, what, starts):
         way = f"{what}.drop(columns={key}).set_axis(pd.to_datetime({what}[{key}]))"
     beside = "" if what == "y" else f", and y = y.set_axis({what}.index)"
     return f"make it the index, in seconds or as dates: {what} = {way}{beside}"
+
+
+def as_container(data, what):
+    """A frame or Series as it is, anything else as an array of a shape that has rows."""
+    if issparse(data):
+        raise TypeError(
+            f"{what} is sparse, which is not supported: signals are dense; give {what}.toarray()"
+        )
+    given, data = data, from_elsewhere(data, what)
+    if not is_pandas(data):
+        if hasattr(data, "__dask_graph__"):
+            raise TypeError(
+                f"{what} is a dask {type(data).__name__}, which only MOESPRegressor.fit accepts; "
+                f"load one record, or one span, at a time into memory: "
+                f"{what}.partitions[0].compute()"
+            )
+        if hasattr(data, "__dataframe__"):
+            raise TypeError(
+                f"{what} is a {type(data).__module__.split('.')[0]} {type(data).__name__}, which "
+                f"has no index of times; give a pandas DataFrame with its times as the index"
+            )
+        data = _as_array(data, what)
+        if data.ndim == 1 and what == "X":
+            raise ValueError(
+                "Expected 2D array, got 1D array instead. Reshape your data with "
+                "X.reshape(-1, 1) if it is one signal, X.reshape(1, -1) if it is one sample"
+            )
+    if data.ndim > 2 or data.ndim == 0:
+        records = ", or one record below the other: pd.concat("
+        records += f"[pd.DataFrame(record) for record in {what}], "
+        records += f'keys=range(len({what})), names=["record"])'
+        raise ValueError(
+            f"{what} has {data.ndim} dimensions; give (n_samples, n_signals) or (n_samples,)"
+            f"{records if data.ndim == 3 else ''}"
+        )
+    if isinstance(data, pd.DataFrame):
+        check_no_clock(data, what)
+    if what == "X" and not keeps_times(given, data):
+        _warn_of_joined_rows(data)
+    if len(data) == 0:
+        raise ValueError(f"{what} has no rows: 0 sample(s), while at least 1 is required")
+    if what != "X" or not isinstance(data, pd.DataFrame):  # of outputs alone, on its index
+        check_has_signals(data, what)
+    return data
+
+
+def keeps_times(given, data):
+    """Whether rows taken out of what was given leave a hole, in the index that it is read with."""
+    return is_pandas(given) or (is_pandas(data) and not isinstance(data.index, pd.RangeIndex))
+
+
+def _warn_of_joined_rows(data):
+    """Warn if rows without times are the training rows of a fold, and were not consecutive.
+
+    An array does not show it, but the cross-validation that has cut it does.
+    """
+    for frame in searches():
+        train = np.asarray(frame.f_locals.get("train"))
+        if train.shape == data.shape[:1] and train.dtype.kind == "i":
+            seams = np.count_nonzero(np.diff(train) != 1)
+            if seams:
+                warn(
+                    f"the training rows of a fold are joined at {seams} place(s) where others were "
+                    f"left out, because an array has no times: this puts a jump into the record; "
+                    f"split with sklearn_hd.model_selection.BlockSplit, or give pd.DataFrame(X), "
+                    f"whose index steps before this one must keep (set_output(transform='pandas'))",
+                    TimeBaseWarning,
+                )
+
+
+def check_has_signals(data, what):
+    """Raise ValueError if a table has no columns."""
+    if data.ndim == 2 and data.shape[1] == 0:
+        raise ValueError(
+            f"{what} has no signals: 0 feature(s) (shape={data.shape}) while a minimum of 1 is "
+            f"required; MOESPRegressor alone identifies from outputs only, with X=None or a "
+            f"DataFrame of no columns"
+        )
+
+
+def check_upright(data, what):
+    """Raise ValueError for an array with more signals than samples, which is transposed."""
+    if not isinstance(data, np.ndarray) or data.ndim != 2:
+        return
+    rows, columns = data.shape
+    if 1 < rows < columns:
+        raise ValueError(
+            f"{what} has {rows} rows and {columns} columns, more signals than samples: it is "
+            f"probably transposed; give one row per sample, {what}.T"
+        )
+
+
+def without_inputs(y):
+    """A frame of no columns on the rows of outputs, the inputs of an output-only model."""
+    y = as_container(y, "y")
+    return pd.DataFrame(index=getattr(y, "index", pd.RangeIndex(len(y))))
+
+
+def _as_array(data, what):
+    """An array of anything that has rows, NaN where it is masked."""
+    if isinstance(data, dict | list | tuple):
+        check_no_records(data, what)
+    if data is None or isinstance(data, str | bytes | dict):
+        way = f"; make it a DataFrame: pd.DataFrame({what})" if isinstance(data, dict) else ""
+        if data is None and what == "X":
+            way = (
+                "; a model of outputs alone, MOESPRegressor().fit(None, y) without the analyzer, "
+                "takes a frame without columns for X later: y[[]]"
+            )
+        raise TypeError(
+            f"{what} is {'None' if data is None else 'a ' + type(data).__name__}, which is not a "
+            f"table of signals; give a DataFrame, or an array of shape (n_samples, n_signals){way}"
+        )
+    if isinstance(data, np.ma.MaskedArray):
+        return data.astype(np.result_type(data.dtype, np.float32)).filled(np.nan)
+    if getattr(getattr(data, "dtype", None), "names", None):
+        raise TypeError(
+            f"{what} is an array of named fields; make it a DataFrame: pd.DataFrame({what})"
+        )
+    try:
+        return np.asarray(data)
+    except ValueError:
+        raise ValueError(
+            f"{what} has rows of different lengths; give (n_samples, n_signals), with rows of "
+            f"equal length"
+        ) from None
+
+
+def to_float(data, what):
+    """Float values, (n_samples, n_signals), of a container."""
+    types = list(data.dtypes) if isinstance(data, pd.DataFrame) else [data.dtype]
+    kinds = {getattr(dtype, "kind", "O") for dtype in types}
+    if "c" in kinds:
+        raise ValueError(
+            f"Complex data not supported: {what} is complex; give real and imaginary parts as "
+            f"columns of their own"
+        )
+    try:
+        if kinds & {"m", "M"}:
+            raise TypeError("they are times")
+        if isinstance(data, pd.DataFrame | pd.Series):
+            values = data.to_numpy(dtype=float, na_value=np.nan)
+        else:
+            values = np.asarray(data, dtype=float)
+    except (TypeError, ValueError, OverflowError) as error:
+        kind = TypeError if isinstance(error, TypeError) else ValueError
+        raise kind(
+            f"{what} holds values that are not numbers{_culprit(data)}: {error}; convert them first"
+        ) from None
+    return values.reshape(len(values), -1)
+
+
+def _culprit(data):
+    """The first column of a frame that holds no numbers, worded for messages."""
+    if not isinstance(data, pd.DataFrame):
+        return ""
+    for name, column in data.items():
+        try:
+            if column.dtype.kind in "mM":
+                return f" (column {str(name)!r})"
+            column.to_numpy(dtype=float, na_value=np.nan)
+        except (TypeError, ValueError, OverflowError):
+            return f" (column {str(name)!r})"
+    return ""

@@ -18,7 +18,8 @@ from sklearn_hd._checks import (
     check_positive,
     signal_names,
 )
-from sklearn_hd._containers import from_elsewhere, is_pandas
+from sklearn_hd._clock import STEP_TOLERANCE
+from sklearn_hd._containers import as_container, from_elsewhere, is_pandas, without_inputs
 from sklearn_hd._excitation import Excitation
 from sklearn_hd._exported import contents
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame, read_as
@@ -49,7 +50,6 @@ from sklearn_hd._simulators import (
     states_by_record,
     steady,
 )
-from sklearn_hd._tables import STEP_TOLERANCE, as_container, without_inputs
 from sklearn_hd.algorithms.signals.resampling import advanced, late
 from sklearn_hd.algorithms.signals.trim import LEVEL
 from sklearn_hd.exceptions import IdentifiabilityWarning

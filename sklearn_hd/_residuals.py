@@ -8,7 +8,7 @@ from scipy import linalg
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._checks import check_outputs_given
-from sklearn_hd._tables import without_inputs
+from sklearn_hd._containers import without_inputs
 from sklearn_hd.algorithms.likelihood.predictor import of_each_output, sensitivities
 from sklearn_hd.algorithms.likelihood.residual_tests import (
     Score,

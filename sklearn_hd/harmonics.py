@@ -13,6 +13,8 @@ from sklearn_hd._checks import (
     check_missing,
     check_phase,
 )
+from sklearn_hd._clock import why_short
+from sklearn_hd._containers import check_has_signals, check_upright
 from sklearn_hd._fit_checks import lasting_hop, motion_kept
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
 from sklearn_hd._guards import warn, within_range
@@ -29,7 +31,6 @@ from sklearn_hd._records.data import (
 )
 from sklearn_hd._records.sampling import lay_grid, warn_of_outliers, warn_of_resampling
 from sklearn_hd._records.trim import with_trim
-from sklearn_hd._tables import check_has_signals, check_upright, why_short
 from sklearn_hd.algorithms.signals.fourier import WINDOW_PERIODS, recompose
 from sklearn_hd.exceptions import TimeBaseWarning
 

@@ -407,6 +407,8 @@ def test_a_period_after_which_f_is_another(period):
     with pytest.raises(ValueError, match=r"a period of .* s later, .*: period is 2π/omega in sec"):
         PeriodicSystem(forced, period=period, **names).trim(3)
     assert PeriodicSystem(decay, period=period, **names).trim(3).residual < 1e-9
+    with pytest.raises(ValueError, match=r"is not the same a period of"):  # in other units
+        PeriodicSystem(lambda x, u, t: 1e-6 * forced(1e6 * x, u, t), period=period, **names).trim(3)
     names["state_names"] = ["a", "a_dot"]
     with pytest.raises(ValueError, match=r"a period of .* s later, .*: period is 2π/omega in sec"):
         PeriodicSystem(parametric, period=period, **names).trim(3)

@@ -9,7 +9,7 @@ import sklearn_hd
 
 ROOT = Path(sklearn_hd.__file__).parent
 LAYERS = [
-    {"exceptions", "_checks", "_containers", "_guards", "_tables"},
+    {"exceptions", "_checks", "_clock", "_containers", "_guards"},
     {"algorithms"},
     {"systems", "structures"},
     {"_readings"},

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
-from sklearn_hd._tables import read_time, straightened, why_short
+from sklearn_hd._clock import read_time, straightened, why_short
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import JitterWarning, ResamplingWarning, TimeBaseWarning
 from sklearn_hd.model_selection import PeriodBlockSplit

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from sklearn_hd._checks import FIRST, RAISE, STANDARD_ERRORS, at
+from sklearn_hd._clock import STEP_TOLERANCE, resolution
 from sklearn_hd._guards import warn
 from sklearn_hd._identify import asked_block_rows, identify, most_block_rows
 from sklearn_hd._identify.checks import check_rank_bound, fewer_block_rows
@@ -25,7 +26,6 @@ from sklearn_hd._identify.sliding import (
 from sklearn_hd._identify.statistics import REMEMBERING, Channels, Statistics, ends_of
 from sklearn_hd._readings import PlainReading, Timing, first_difference
 from sklearn_hd._records.data import read_experiment
-from sklearn_hd._tables import STEP_TOLERANCE, resolution
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 from sklearn_hd.algorithms.subspace.sums import Forgetting
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from sklearn_hd._checks import FIRST, at
+from sklearn_hd._clock import STEP_TOLERANCE, read_time, resolution
 from sklearn_hd._containers import is_partitioned
 from sklearn_hd._guards import one_blas_thread
 from sklearn_hd._identify.sliding import (
@@ -24,7 +25,6 @@ from sklearn_hd._identify.sliding import (
 from sklearn_hd._identify.statistics import Channels, Statistics, ends_of
 from sklearn_hd._readings import PlainReading, first_difference
 from sklearn_hd._records.data import as_frame, is_decomposed, read_experiment, rows_read
-from sklearn_hd._tables import STEP_TOLERANCE, read_time, resolution
 
 FAN_IN = 8  # neighbours merged at a time
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sklearn_hd._checks import COMMON
+from sklearn_hd._clock import why_short
 from sklearn_hd._guards import extremes, square_sums
-from sklearn_hd._tables import why_short
 from sklearn_hd.algorithms.linalg.rounding import EXACT
 from sklearn_hd.algorithms.signals.fourier import InputDirections
 from sklearn_hd.algorithms.subspace.hankel import (

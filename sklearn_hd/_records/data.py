@@ -21,21 +21,13 @@ from sklearn_hd._checks import (
     check_wrap,
     signal_names,
 )
-from sklearn_hd._containers import is_pandas
+from sklearn_hd._clock import TimeBase, read_time, straightened
+from sklearn_hd._containers import as_container, check_upright, is_pandas, to_float, without_inputs
 from sklearn_hd._frame import HarmonicFrame
 from sklearn_hd._guards import warn
 from sklearn_hd._readings import HarmonicBasis, PlainReading, first_difference
 from sklearn_hd._records.amplitudes import small_signal
 from sklearn_hd._records.sampling import Sampling, lay_grid
-from sklearn_hd._tables import (
-    TimeBase,
-    as_container,
-    check_upright,
-    read_time,
-    straightened,
-    to_float,
-    without_inputs,
-)
 from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, discrete_to_continuous
 from sklearn_hd.algorithms.signals.fourier import lift, seconds_from_zero_phase
 from sklearn_hd.algorithms.signals.resampling import bridge, unwrap

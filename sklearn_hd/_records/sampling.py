@@ -25,8 +25,8 @@ import numpy as np
 from scipy import ndimage
 
 from sklearn_hd._checks import RAISE, at
+from sklearn_hd._clock import TimeBase, even, resolution
 from sklearn_hd._guards import searching, warn
-from sklearn_hd._tables import TimeBase, even, resolution
 from sklearn_hd.algorithms.linalg.rounding import RANK
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.signals.fourier import MOST_ROWS, ROWS_PER_COLUMN, standing_lines

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 
 from sklearn_hd._checks import check_span
+from sklearn_hd._clock import resolution
 from sklearn_hd._guards import warn
 from sklearn_hd._records.bases import AUTO
 from sklearn_hd._records.data import sample
 from sklearn_hd._records.sampling import MOST_HARMONICS
-from sklearn_hd._tables import resolution
 from sklearn_hd.algorithms.linalg.rounding import PRECISION
 from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN, lift, standing_lines
 from sklearn_hd.algorithms.signals.trim import drift, in_trim, motion_of, stands_out, turns_at_rest

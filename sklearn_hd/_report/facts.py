@@ -15,6 +15,7 @@ from sklearn.base import clone
 from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import check_is_fitted
 
+from sklearn_hd._containers import without_inputs
 from sklearn_hd._fit_checks import warn_of_mismatch
 from sklearn_hd._guards import first_of
 from sklearn_hd._model_step import ModelStep
@@ -22,7 +23,6 @@ from sklearn_hd._opinion import DOUBT, contradictions, warn_unconfirmed
 from sklearn_hd._records.data import Experiment
 from sklearn_hd._report.page import REFUSALS, digits, with_reach
 from sklearn_hd._simulators import scored_simulation
-from sklearn_hd._tables import without_inputs
 from sklearn_hd.exceptions import UnstableModelError
 from sklearn_hd.harmonics import HarmonicAnalyzer
 from sklearn_hd.matching import StructuredMatcher

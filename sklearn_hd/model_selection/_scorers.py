@@ -9,9 +9,9 @@ from sklearn.pipeline import Pipeline
 from sklearn.utils.metadata_routing import MetadataRequest
 
 from sklearn_hd._checks import check_count, check_weight
+from sklearn_hd._containers import as_container, to_float
 from sklearn_hd._model_step import ModelStep
 from sklearn_hd._simulators import compared, power_of_two
-from sklearn_hd._tables import as_container, to_float
 
 
 def simulation_scorer(metric, *, greater_is_better=True, horizon=None, **kwargs):

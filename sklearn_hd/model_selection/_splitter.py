@@ -5,8 +5,9 @@ import pandas as pd
 from sklearn.model_selection import BaseCrossValidator
 
 from sklearn_hd._checks import FIRST, PERIOD_TOLERANCE, check_count, check_phase, check_span
+from sklearn_hd._clock import read_time
+from sklearn_hd._containers import as_container, keeps_times
 from sklearn_hd._records.data import read_azimuth
-from sklearn_hd._tables import as_container, keeps_times, read_time
 from sklearn_hd.algorithms.signals.resampling import unwrap
 
 SAME_TURN = 1e-6  # of a period

@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 
 from sklearn_hd._checks import FIRST, PERIOD_TOLERANCE
+from sklearn_hd._clock import read_time
 from sklearn_hd._records.data import read_experiment
-from sklearn_hd._tables import read_time
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.model_selection._scorers import last_model_step
 from sklearn_hd.plotting._display import (

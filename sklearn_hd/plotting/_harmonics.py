@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 
 from sklearn_hd._checks import check_output_names, signal_names
+from sklearn_hd._containers import as_container
 from sklearn_hd._readings import coefficient_names
-from sklearn_hd._tables import as_container
 from sklearn_hd.exceptions import ResamplingWarning
 from sklearn_hd.harmonics import HarmonicAnalyzer
 from sklearn_hd.plotting._display import (

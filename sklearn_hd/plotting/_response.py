@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 
 from sklearn_hd._checks import check_span, signal_names
+from sklearn_hd._containers import to_float
 from sklearn_hd._model_step import ModelStep
 from sklearn_hd._simulators import scored_simulation
-from sklearn_hd._tables import to_float
 from sklearn_hd.model_selection import fit_percent
 from sklearn_hd.model_selection._scorers import last_model_step
 from sklearn_hd.plotting._display import (

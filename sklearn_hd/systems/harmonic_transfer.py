@@ -22,8 +22,9 @@ from sklearn_hd._checks import (
     check_time_origin,
     signal_names,
 )
+from sklearn_hd._clock import read_time
+from sklearn_hd._containers import as_container, to_float
 from sklearn_hd._guards import warn, within_range
-from sklearn_hd._tables import as_container, read_time, to_float
 from sklearn_hd.algorithms.periodic.floquet import transition_matrices
 from sklearn_hd.algorithms.periodic.harmonic_transfer import (
     effective_averages,

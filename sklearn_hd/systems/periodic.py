@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sklearn_hd._checks import (
-    LITTLE,
     check_choice,
     check_count,
     check_flag,
@@ -15,6 +14,7 @@ from sklearn_hd._checks import (
     check_positive,
     real_array,
 )
+from sklearn_hd.algorithms.linalg.rounding import HALF
 from sklearn_hd.algorithms.periodic.harmonic_balance import (
     evaluate_harmonics,
     resize_harmonics,
@@ -32,7 +32,7 @@ from sklearn_hd.systems.arguments import (
 from sklearn_hd.systems.ltp import LTPSystem
 
 STEPS_PER_PERIOD = 64  # longest first step of the integrator
-PHASES = 8  # of a trim, at most of which f has to be the same a period later
+ANOTHER = 0.01  # of its terms, from which on f is not the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -427,18 +427,18 @@ class PeriodicSystem(NamedSignals):
 
         At most of some azimuths of a trim, by more than a part of its terms.
         """
-        psi = np.arange(1, 2 * PHASES, 2)  # of no common part of a turn
+        psi = np.arange(1, 16, 2)  # of no common part of a turn
         x, t = trim.states(psi).T, psi / self.omega
-        u = np.repeat(trim.inputs[:, None], PHASES, axis=1)
+        u = np.repeat(trim.inputs[:, None], len(psi), axis=1)
         now, later = (
             (np.asarray(self.f(x, u, each), float).T, *self.jacobian(x, u, each)[:2])
             for each in (t, t + self.period)
         )
         (f, F, G), (f_later, F_later, _) = now, later
-        terms = np.abs(F) @ (np.abs(x.T) + LITTLE)[..., None] + np.abs(G) @ np.abs(u.T)[..., None]
+        terms = np.abs(F) @ (np.abs(x.T) + HALF)[..., None] + np.abs(G) @ np.abs(u.T)[..., None]
         size = np.max(np.abs(f), axis=0) + np.max(terms, axis=0)[:, 0]
-        apart = np.abs(f_later - f) > LITTLE * size
-        apart_slopes = np.abs(F_later - F) > LITTLE * np.max(np.abs(F))
+        apart = np.abs(f_later - f) > ANOTHER * size
+        apart_slopes = np.abs(F_later - F) > ANOTHER * np.max(np.abs(F))
         if np.mean(np.any(apart, axis=1) | np.any(apart_slopes, axis=(1, 2))) > 0.5:
             raise ValueError(
                 f"f, or its derivative by x, is not the same a period of {self.period:.6g} s "
