@@ -1,4 +1,4 @@
-"""The effect of inputs that a fit showed, and the one that predictions need beyond it.
+"""What predictions need beyond what the record of a fit showed: effects of inputs, and the orbit.
 
 Models of whole periods describe inputs only in the directions within the period in which they
 moved (:class:`~sklearn_hd.algorithms.signals.fourier.InputDirections`). Models at samples have
@@ -20,15 +20,16 @@ from scipy.stats import chi2
 from sklearn_hd._guards import searches, warn
 from sklearn_hd._records.data import lifted_periods
 from sklearn_hd.algorithms.likelihood.likelihood import eliminate_states, updated_factor
-from sklearn_hd.algorithms.linalg.rounding import DEPENDENT
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, HALF
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.periodic.periodic_innovations import input_slopes
 from sklearn_hd.algorithms.signals.fourier import AT_ONCE, InputDirections, harmonic_functions
-from sklearn_hd.exceptions import ExcitationWarning
+from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 
 MOST_OUTSIDE = 1e-3  # of the inputs' energy within the period
 NOISE = 1e-4  # of it, which may be noise
 NOTABLE = 1e-2  # of the motion predicted, below which its standard deviation is no matter
+MOST_OFF = 0.1  # of the motion predicted, that the orbit may be off by
 LARGEST = 1e10  # operations: of longer records, and wider models, nothing is said
 N_STRETCHES = 8  # of a segment, half over each other, whose periodograms are averaged
 BY_CHANCE = 0.01  # of spectra of white noise have a larger peak than is taken for none
@@ -203,6 +204,30 @@ class Information:
                 break
         energy = min(energy, self.answer * pushed)
         return (self.noise * np.sqrt(variance / energy) if energy > 0.0 else 0.0), own
+
+
+def warn_of_orbit(simulators, outputs):
+    """Warn of an orbit that may be off by more than a tenth of the motion predicted about it."""
+    model = simulators[0].model
+    off = getattr(model, "orbit_deviation", None)
+    if off is None or any(searches()):
+        return
+    about = [
+        y - model.outputs_at_rest(simulator.psi)
+        for simulator, y in zip(simulators, outputs, strict=True)
+    ]
+    motion, whole = (np.sqrt(np.mean(np.vstack(each) ** 2, axis=0)) for each in (about, outputs))
+    share = off / np.where(motion > HALF * whole, motion, np.inf)  # of a machine at rest none
+    most = int(np.argmax(share))
+    if share[most] > MOST_OFF:
+        warn(
+            f"the record of the fit tells {model.output_names[most]!r} of the machine at rest only "
+            f"to within {off[most]:.2g}, and the motion predicted about that is "
+            f"{motion[most]:.2g} (root mean squares): noise hides this orbit, or large motions "
+            f"have shifted it; take only differences of predictions, or fit a longer record, "
+            f"smaller motions, or one with turns at rest",
+            IdentifiabilityWarning,
+        )
 
 
 def spectral_peak(segments):

@@ -20,7 +20,7 @@ from sklearn_hd._checks import (
 )
 from sklearn_hd._clock import STEP_TOLERANCE
 from sklearn_hd._containers import as_container, from_elsewhere, is_pandas, without_inputs
-from sklearn_hd._excitation import Excitation
+from sklearn_hd._excitation import Excitation, warn_of_orbit
 from sklearn_hd._exported import contents
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame, read_as
 from sklearn_hd._guards import one_blas_thread, warn, within_range
@@ -261,6 +261,9 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
             of whole periods, they move within the period as they never did; or if the effect of
             inputs at these phases is so uncertain that the standard deviation of the predicted
             motion is more than the fit left. The warning names the inputs and the share.
+        IdentifiabilityWarning
+            If the record tells the orbit (``reading="sample"``) less well than a tenth of the
+            motion predicted about it.
         """
         check_is_fitted(self)
         experiment = self._experiment(X)
@@ -268,12 +271,11 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         self._warn_of_inputs(experiment, simulators)
         starts = self._starts(x0, experiment, simulators)
         outputs = [
-            late(
-                simulator.outputs(start, recompose=not self.predicts_harmonics_),
-                self._samples_late(experiment),
-            )
+            simulator.outputs(start, recompose=not self.predicts_harmonics_)
             for simulator, start in zip(simulators, starts, strict=True)
         ]
+        warn_of_orbit(simulators, outputs)
+        outputs = [late(y, self._samples_late(experiment)) for y in outputs]
         return self._mirror(self._at_rows(outputs, simulators, experiment), X)
 
     def _warn_of_inputs(self, experiment, simulators):

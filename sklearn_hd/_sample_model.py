@@ -51,6 +51,9 @@ class SampleModel:
     state_names : tuple of str, or None
     n_harmonics : int or None
         That were fitted; those of the samples by default.
+    orbit_deviation : ndarray, shape (l,), or None
+        How far outputs of a machine at rest may be off, root mean square over a turn: large motions
+        shift their mean.
     """
 
     innovations: PeriodicInnovations
@@ -67,6 +70,7 @@ class SampleModel:
     split: tuple | None = None
     state_names: tuple | None = None
     n_harmonics: int | None = None
+    orbit_deviation: np.ndarray | None = None
 
     windowed = False
     closed_loop = True  # its predictor holds, feedback or none
@@ -118,6 +122,12 @@ class SampleModel:
             none = np.zeros((len(mean), len(innovations.covariance)))
             innovations = innovations.about(-mean, none).about_orbit()
         return innovations.rows(psi).outputs[..., -1]
+
+    def outputs_at_rest(self, psi):
+        """Outputs without inputs, or while they hold their trim, shape (n_samples, l)."""
+        if self.trim_in_inputs:
+            return self.forced(psi)
+        return self.innovations.about_orbit().rows(psi).outputs[..., -1]
 
     def to_ltp(self):
         """The continuous model whose samples these are, as an LTPSystem.

@@ -209,6 +209,18 @@ def test_loads_are_those_of_a_machine_at_rest():
     assert np.max(np.sqrt(np.mean(still**2, axis=0)) / y.std()) < 0.005
 
 
+def test_motions_smaller_than_the_orbit_is_known_are_said_to_be():
+    u, y = record(noise=0.05)
+    analyzer = HarmonicAnalyzer(OMEGA, reading="sample")
+    model = MOESPRegressor().fit(analyzer.fit_transform(u, y), y)
+    off = np.sqrt(np.mean(model.predict(analyzer.transform(0.0 * u)) ** 2, axis=0))
+    assert np.all(off < 3.0 * model.model_.orbit_deviation)
+    assert np.all(model.model_.orbit_deviation < 0.01 * y.std())
+    model.predict(analyzer.transform(u))  # large motions: no warning
+    with pytest.warns(IdentifiabilityWarning, match="of the machine at rest only to within"):
+        model.predict(analyzer.transform(0.01 * u))
+
+
 @pytest.mark.slow
 def test_the_report_says_that_the_model_is_of_small_motions(tmp_path):
     u, y = record(cubic=0.6)

@@ -42,7 +42,7 @@ from sklearn_hd.algorithms.likelihood.small_motions import AS_LITTLE
 from sklearn_hd.algorithms.linalg.rounding import EPS, HALF
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_predictor import LagSums, forced_mean
-from sklearn_hd.algorithms.signals.fourier import MOST_ROWS
+from sklearn_hd.algorithms.signals.fourier import MOST_ROWS, mean_square
 from sklearn_hd.algorithms.subspace.order import Simulated
 from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
 
@@ -111,8 +111,7 @@ class Samples:
 
     @property
     def _trimmed(self):
-        constant, waves = self.means[0][0], self.means[0][1:]
-        return np.sqrt(constant**2 + 0.5 * np.sum(waves**2, axis=0)) > self.scales[0]
+        return np.sqrt(mean_square(self.means[0])) > self.scales[0]
 
     @property
     def n_outputs(self):
@@ -282,7 +281,9 @@ class _Found:
         opinions = [halves, *_of_its_likelihood(refined, data, basis.omega)]
         if refined.degrees:  # whose exponents are those of small motions
             opinions = [*opinions[1:], halves]
-        return replace(model, opinion=more_doubtful(model.exponents(), *opinions))
+        opinion, orbit = more_doubtful(model.exponents(), *opinions), refined.beside[2]
+        off = None if orbit is None else orbit * data.scales[1]
+        return replace(model, opinion=opinion, orbit_deviation=off)
 
     @property
     def _is_asked(self):
@@ -522,10 +523,8 @@ def _of_its_likelihood(refined, data, omega):
             yield of(small.of_smaller, way, of_small_motions=True)
     elif refined.ahead is not None:
         yield of(refined.ahead, "a further step of its likelihood has")
-    base = refined.large or refined.without
-    if base is not None:
-        degrees, beside = base.of_other_degrees()
-        if beside is not None and beside.beyond > STANDARD_ERRORS:
-            which = " and ".join(POWERS[degree] for degree in degrees)
-            way = f"its likelihood beside {which} of the motion has"
-            yield of(beside.ahead, way, own=True, of_small_motions=True)
+    degrees, beside, _ = refined.beside
+    if beside is not None and beside.beyond > STANDARD_ERRORS:
+        which = " and ".join(POWERS[degree] for degree in degrees)
+        way = f"its likelihood beside {which} of the motion has"
+        yield of(beside.ahead, way, own=True, of_small_motions=True)

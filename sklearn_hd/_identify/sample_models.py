@@ -162,6 +162,12 @@ class Refined:
         """Where a further step leads it."""
         return self.linear_ahead if self.small is None else self.small.ahead
 
+    @cached_property
+    def beside(self):
+        """What products of other degrees would do, as ``LargeMotions.of_other_degrees`` has it."""
+        base = self.large or self.without
+        return ((), None, None) if base is None else base.of_other_degrees(self.rest)
+
     @property
     def degrees(self):
         """Of products that are further inputs."""

@@ -20,7 +20,7 @@ from sklearn_hd.algorithms.periodic.harmonic_balance import trimmed_harmonics
 from sklearn_hd.algorithms.periodic.harmonic_decomposition import harmonic_decomposition
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
-from sklearn_hd.algorithms.signals.fourier import harmonic_labels
+from sklearn_hd.algorithms.signals.fourier import harmonic_labels, mean_square
 from sklearn_hd.systems import LTPSystem
 
 LIKELIHOODS = ("output_error", "prediction_error")
@@ -95,8 +95,7 @@ class PeriodicModel:
     @property
     def input_size(self):
         """Root mean square over a turn of each entry of G, (n, m)."""
-        power = np.square(self.matrices()[1])
-        return np.sqrt(power[0] + 0.5 * power[1:].sum(axis=0))
+        return np.sqrt(mean_square(self.matrices()[1]))
 
     def highest(self, name):
         """Highest harmonic of F, G, P or Q that is not zero."""

@@ -124,10 +124,14 @@ class NextStep:
         which residuals are linear, are beyond what noise explains.
     ahead : (ndarray, ndarray)
         As :func:`most_likely` has it, of a step in all coefficients.
+    of_loads : list of PeriodicInnovations
+        The model after a step of the loads and of that effect alone, and a standard deviation
+        beside it in each direction in which these are known.
     """
 
     beyond: float
     ahead: tuple
+    of_loads: list
 
 
 def next_step(innovations, segments, layout, sensor_noise, n_inputs):
@@ -148,7 +152,9 @@ def next_step(innovations, segments, layout, sensor_noise, n_inputs):
     n_rows = int(MOST_NUMBERS / len(form.places) / layout.n_outputs)
     system = form.system(at, list(_telling(segments, at.counted, n_rows)))
     beyond = system.beyond_noise(form.driven_beyond(innovations, n_inputs))
-    return NextStep(beyond, form.ahead(at, system, RANK)[1:])
+    step, root = system.alone(form.driven_beyond(innovations, n_inputs, loads=True))
+    of_loads = [form.moved(innovations, each) for each in (step, *at.left * root.T)]
+    return NextStep(beyond, form.ahead(at, system, RANK)[1:], of_loads)
 
 
 def is_told(innovations, segments, layout, counted=None):
@@ -225,10 +231,11 @@ class _Form:
         places = np.concatenate([*places, loads.ravel()])
         return cls(H, L, layout.feedthrough, n_inputs, places, place[: 2 * H + 1, :n, :n])
 
-    def driven_beyond(self, innovations, n_inputs):
-        """Which of the free coefficients are effects of inputs further than so many."""
+    def driven_beyond(self, innovations, n_inputs, loads=False):
+        """Which of the free coefficients are effects of inputs further than so many, or loads."""
         further = np.zeros(innovations.coefficients.shape, dtype=bool)
         further[:, :, innovations.n_states + n_inputs : -1] = True
+        further[:, :, -1] = loads
         return np.append(further, np.zeros(innovations.gain.shape, dtype=bool))[self.places]
 
     def ahead(self, at, system, damping):
@@ -397,6 +404,16 @@ class _System:
             values, vectors = self.eigen
             return vectors @ (vectors.T @ self.slope / (values + damping * self.largest))
 
+    def alone(self, some):
+        """A step in some parameters, the others held, and a root of their covariance then."""
+        own = self._part(some)
+        step, root = np.zeros(len(some)), np.zeros((len(some), own.root.shape[1]))
+        step[some], root[some] = own.step(RANK), own.root
+        return step / self.size, root / self.size[:, None]
+
+    def _part(self, some):
+        return _System.of(self.gram[np.ix_(some, some)], self.slope[some])
+
     def beyond_noise(self, some):
         """Normal deviations by which slopes by some parameters are beyond those of noise.
 
@@ -408,10 +425,7 @@ class _System:
         1946). Of a step in all parameters more is promised than kept where the others are poorly
         known. −∞ where the others tell all.
         """
-        own, others = (
-            _System.of(self.gram[np.ix_(rows, rows)], self.slope[rows]).root
-            for rows in (some, ~some)
-        )
+        own, others = (self._part(rows).root for rows in (some, ~some))
         shared = own.T @ self.gram[np.ix_(some, ~some)] @ others
         values, V = linalg.eigh(np.eye(len(shared)) - shared @ shared.T)
         values, V = values[values > np.sqrt(RANK)], V[:, values > np.sqrt(RANK)]

@@ -48,6 +48,7 @@ from sklearn_hd.algorithms.periodic.periodic_predictor import Layout
 from sklearn_hd.algorithms.signals.fourier import (
     fitted_harmonics,
     harmonic_functions,
+    mean_square,
     sampled_harmonics,
 )
 
@@ -179,25 +180,39 @@ class LargeMotions:
         left, before = (_left(each, sensor_noise) for each in (found.model, innovations))
         return found if left <= least * before else None
 
-    def of_other_degrees(self):
+    def of_other_degrees(self, rest):
         """Where products of the degrees that it has not would lead, with a constant effect.
+
+        Parameters
+        ----------
+        rest : ndarray, shape (2 L + 1, m)
+            Inputs of a machine at rest, as Fourier coefficients.
 
         Returns
         -------
         degrees : tuple of int
             Empty where none are to be had.
         beside : NextStep or None
+        orbit : ndarray, shape (l,), or None
+            How far the outputs of a machine at rest may be off, root mean square over a turn: by
+            what products and loads beside the model move them, and as far as these are known.
         """
         before = () if self.products is None else self.products.degrees
         tried = tuple(degree for degree in DEGREES if degree not in before)
         motion = self._motion_beside(tried, turning=False) if tried else None
         products = None if motion is None else self._products(motion, tried)
         if products is None:
-            return (), None
+            return (), None, None
         driven = products.beside(self.segments, motion)
         layout = replace(self.layout, n_inputs=self._n_turning(self.model))
         start, n_inputs = self._beside(products), self.model.n_inputs
-        return tried, next_step(start, driven, layout, self.sensor_noise, n_inputs)
+        beside = next_step(start, driven, layout, self.sensor_noise, n_inputs)
+        if beside is None:
+            return tried, None, None
+        models, L = (start, *beside.of_loads), len(rest) // 2
+        forced, *moved = (products.outputs_at_rest(each, rest, L) for each in models)
+        off = np.sum([mean_square(each - forced) for each in moved], axis=0)
+        return tried, beside, np.sqrt(off)
 
     def _motion_beside(self, degrees, turning):
         """The motion, if products of further degrees are not too many numbers; else None."""
@@ -380,6 +395,12 @@ class _Products:
         n_inputs = model.n_inputs - len(self.which)
         means = np.hstack([np.zeros((len(self.means), n_inputs)), self.means])
         return model.about(sign * means, np.zeros((len(means), model.n_outputs)))
+
+    def outputs_at_rest(self, model, rest, n_harmonics):
+        """Fourier coefficients of the outputs of a machine at rest, (2 n_harmonics + 1, l)."""
+        still = _with_inputs(self.with_means(model), rest.shape[1], 0)
+        still = still.about(-rest, np.zeros((len(rest), model.n_outputs)))
+        return still.forced_response(n_harmonics)
 
     def about_rest(self, model, motion, rest):
         """The same model with products about the orbit at rest, and these.

@@ -159,6 +159,18 @@ def sampled_harmonics(values, n_harmonics):
     return coefficients
 
 
+def mean_square(coefficients):
+    """Of periodic signals over a turn: c₀² + ½ Σ c_k², of real coefficients (2 N + 1, ...).
+
+    Examples
+    --------
+    >>> mean_square(np.array([2.0, 3.0, 4.0])).item()  # 2 + 3 cos ψ + 4 sin ψ
+    16.5
+    """
+    power = np.square(coefficients)
+    return power[0] + 0.5 * np.sum(power[1:], axis=0)
+
+
 def all_harmonics(values):
     """Fourier coefficients of the trigonometric polynomial through equally spaced samples.
 

@@ -152,7 +152,21 @@ def test_motions_between_two_values_have_no_products_of_their_own():
     for degrees in (None, (2,)):
         assert LargeMotions.of(delay, some, layout, 1e-3, np.inf, degrees) is None
     base = LargeMotions.without(delay, some, layout, 1e-3, np.inf)
-    assert base.of_other_degrees()[1] is None
+    assert base.of_other_degrees(REST)[1] is None
+
+
+@pytest.mark.parametrize(
+    ("bend", "least", "most"), [(0.0, 0.2, 1.0), (0.1, 0.9, 1.4), (0.2, 0.9, 1.4)]
+)
+def test_an_orbit_is_off_by_what_squares_of_the_motion_shift_it(bend, least, most):
+    """Outputs of this machine at rest are zero; a linear model of its large motions has others."""
+    ratios = []
+    for seed in range(6):
+        some = [bent(seen(), 2, bend, 1500, seed)]
+        linear, _ = most_likely(seen(), some, SEEN, 1e-3)
+        base = LargeMotions.without(linear, some, SEEN, 1e-3, np.inf)
+        ratios.append(np.abs(linear.forced_response(0)[0]) / base.of_other_degrees(REST)[2])
+    assert least < np.sqrt(np.mean(np.square(ratios))) < most
 
 
 @pytest.mark.parametrize("seed", [0, 1, 13, 19])
@@ -163,13 +177,13 @@ def test_products_that_were_not_taken_up_show_a_machine_that_is_not_linear(seed)
         some = [bent(true, degree, bend, 1500, seed)]
         linear, _ = most_likely(true, some, SEEN, 1e-3)
         base = LargeMotions.without(linear, some, SEEN, 1e-3, np.inf)
-        degrees, beside = base.of_other_degrees()
+        degrees, beside, _ = base.of_other_degrees(REST)
         assert degrees == (2, 3)
         assert (beside.beyond > 4.0) == (bend != 0.0)
         known, deviations = beside.ahead
         assert np.all(np.abs(np.sort_complex(known) - multipliers(true)) < 5.0 * deviations)
     large = LargeMotions.of(linear, some, SEEN, 1e-3, np.inf)
-    degrees, beside = large.of_other_degrees()
+    degrees, beside, _ = large.of_other_degrees(REST)
     assert (large.products.degrees, degrees) == ((2,), (3,))
     assert beside.beyond < 4.0  # squares have taken up all
 
@@ -180,9 +194,9 @@ def test_nothing_is_said_of_products_that_are_not_to_be_had(monkeypatch):
     linear, _ = most_likely(true, some, SEEN, 1e-3)
     base = LargeMotions.without(linear, some, SEEN, 1e-3, np.inf)
     asked = LargeMotions.of(linear, some, SEEN, 1e-3, np.inf, degrees=(2, 3))
-    assert asked.of_other_degrees() == ((), None)  # it has all
+    assert asked.of_other_degrees(REST) == ((), None, None)  # it has all
     monkeypatch.setattr(small_motions, "MOST_NUMBERS", 1e3)
-    assert base.of_other_degrees() == ((), None)  # too many numbers
+    assert base.of_other_degrees(REST) == ((), None, None)  # too many numbers
 
 
 def test_products_do_not_pay_for_a_linear_machine():
