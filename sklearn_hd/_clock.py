@@ -23,34 +23,19 @@ JITTER_LIMIT = 0.2  # of the sample time, by which the instant of a row may be o
 
 @dataclass(frozen=True)
 class TimeBase:
-    """When each row was sampled, and where rows stop being consecutive.
+    """When each row was sampled, and where rows stop being consecutive."""
 
-    Attributes
-    ----------
-    time : ndarray, shape (n_samples,)
-        Seconds.
-    segments : tuple of slice
-        Runs of consecutive rows; a new record or a gap starts a new one. Their
-        steps may jitter.
-    records : tuple
-        Label of the record of each segment (0 where there is but one).
-    sample_time : float
-        Seconds.
-    counted : bool
-        True if rows count as samples because no times were given.
-    jitter : (float, float)
-        Seconds by which rows are off evenly spaced instants: root mean square, largest.
-    uncertainty : float
-        Standard error of ``sample_time`` that the jitter leaves, seconds.
-    """
-
-    time: np.ndarray
+    time: np.ndarray  # (n_samples,): seconds
+    # of slice: runs of consecutive rows; a new record or a gap starts a new one. Their steps may
+    # jitter.
     segments: tuple
-    records: tuple
-    sample_time: float
-    counted: bool
+    records: tuple  # label of the record of each segment (0 where there is but one)
+    sample_time: float  # seconds
+    counted: bool  # True if rows count as samples because no times were given
+    # (float, float): seconds by which rows are off evenly spaced instants: root mean square,
+    # largest
     jitter: tuple = (0.0, 0.0)
-    uncertainty: float = 0.0
+    uncertainty: float = 0.0  # standard error of ``sample_time`` that the jitter leaves, seconds
 
     def rows_of_records(self):
         """Rows and label of each record, whatever gaps are in it."""

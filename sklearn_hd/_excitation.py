@@ -38,25 +38,14 @@ TOO_LARGE = 1e8  # times the outputs: a simulation that grows so far tells nothi
 
 @dataclass(frozen=True, eq=False)
 class Excitation:
-    """What the record of a fit shows about the effect of inputs.
+    """What the record of a fit shows about the effect of inputs."""
 
-    Attributes
-    ----------
-    names, drive : tuple of str
-        Of the inputs, and of that which each of the drive is made of.
-    directions : InputDirections
-        Within the period, of models of whole periods; else of the samples.
-    n_harmonics : int
-        Of B(ψ) and D(ψ).
-    information : Information or None
-        Of models at the samples of a machine that turns.
-    """
-
-    names: tuple
-    drive: tuple
+    names: tuple  # of str: of the inputs, and of that which each of the drive is made of
+    drive: tuple  # of str
+    # within the period, of models of whole periods; else of the samples
     directions: InputDirections
-    n_harmonics: int
-    information: object
+    n_harmonics: int  # of B(ψ) and D(ψ)
+    information: object  # Information or None: of models at the samples of a machine that turns
 
     @classmethod
     def of(cls, experiment, simulators, n_harmonics):
@@ -116,25 +105,14 @@ class Excitation:
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """What a record shows about B(ψ) and D(ψ), with A and C known.
+    """What a record shows about B(ψ) and D(ψ), with A and C known."""
 
-    Attributes
-    ----------
-    root : ndarray, shape (k, r)
-        Of the covariance of their coefficients, in parts of the noise.
-    input_scale, scale : ndarray, shapes (m,), (l,)
-        Of the inputs and the outputs.
-    answer : float
-        Energy of what inputs make, in parts of theirs.
-    noise, left : float
-        What no coefficients explain, root mean square, as far as it may act like white noise: in
-        parts of that; and all of it, in parts of what inputs make.
-    """
-
-    root: np.ndarray
-    input_scale: np.ndarray
-    scale: np.ndarray
-    answer: float
+    root: np.ndarray  # (k, r): of the covariance of their coefficients, in parts of the noise
+    input_scale: np.ndarray  # (m,): of the inputs and the outputs
+    scale: np.ndarray  # (l,)
+    answer: float  # energy of what inputs make, in parts of theirs
+    # what no coefficients explain, root mean square, as far as it may act like white noise: in
+    # parts of that; and all of it, in parts of what inputs make
     noise: float
     left: float
 

@@ -19,79 +19,43 @@ class Lifted:
 
     u[k] and y[k] hold the samples of period k one after another, all signals of each, trim
     subtracted.
-
-    Attributes
-    ----------
-    A : ndarray, shape (n, n)
-        That of the model, its multipliers refined on all samples.
-    B : ndarray, shape (n, r + 1)
-        Its last column is for a constant error of the trim.
-    C : ndarray, shape (samples_per_period * n_outputs, n)
-    D : ndarray, shape (samples_per_period * n_outputs, r + 1)
-    directions : ndarray, shape (samples_per_period * n_inputs, r)
-        Directions in which the inputs moved at fit. Others have no effect.
-    left : float
-        Share of the record's energy that it leaves, each output in parts of its scale.
     """
 
-    A: np.ndarray
-    B: np.ndarray
-    C: np.ndarray
-    D: np.ndarray
+    A: np.ndarray  # (n, n): that of the model, its multipliers refined on all samples
+    B: np.ndarray  # (n, r + 1): its last column is for a constant error of the trim
+    C: np.ndarray  # (samples_per_period * n_outputs, n)
+    D: np.ndarray  # (samples_per_period * n_outputs, r + 1)
+    # (samples_per_period * n_inputs, r): directions in which the inputs moved at fit. Others have
+    # no effect.
     directions: np.ndarray
-    left: float
+    left: float  # share of the record's energy that it leaves, each output in parts of its scale
 
 
 @dataclass(frozen=True, eq=False)
 class LTIModel:
-    """State-space matrices with their names, as a value that pickles and hashes.
-
-    Attributes
-    ----------
-    A, B, C, D : ndarray
-    dt : float
-        Sample time in seconds; 0.0 for continuous time.
-    input_names, output_names : tuple of str
-    state_names : tuple of str or None
-    feedthrough : bool
-        Whether D was free.
-    windowed : bool
-        Whether the outputs are coefficients as seen through the analysis
-        window (an identified model) rather than the harmonics themselves.
-    kalman_gain : ndarray, shape (n, l), or None
-        K of the innovation form, if it was identified.
-    innovations_covariance : ndarray, shape (l, l), or None
-    closed_loop : bool
-        Whether it was identified as if inputs reacted to outputs.
-    at_rest : bool
-        Whether A is that of free decays alone (period by period).
-    second_order : complex ndarray
-        Multipliers of other motions in these decays: the response is not linear.
-    opinion : Opinion or None
-        Its exponents as estimated in another way.
-    lifted : Lifted or None
-        Motion within a period, if the model is one of whole periods.
-    delays : Delays or None
-        Delays of its signals, which the matrices do not include.
-    """
+    """State-space matrices with their names, as a value that pickles and hashes."""
 
     A: np.ndarray
     B: np.ndarray
     C: np.ndarray
     D: np.ndarray
-    dt: float
-    input_names: tuple
-    output_names: tuple
-    state_names: tuple | None = None
-    feedthrough: bool = False
+    dt: float  # sample time in seconds; 0.0 for continuous time
+    input_names: tuple  # of str
+    output_names: tuple  # of str
+    state_names: tuple | None = None  # tuple of str or None
+    feedthrough: bool = False  # whether D was free
+    # whether the outputs are coefficients as seen through the analysis window (an identified model)
+    # rather than the harmonics themselves
     windowed: bool = False
-    kalman_gain: np.ndarray | None = None
-    innovations_covariance: np.ndarray | None = None
-    closed_loop: bool = False
-    at_rest: bool = False
+    kalman_gain: np.ndarray | None = None  # (n, l): K of the innovation form, if it was identified
+    innovations_covariance: np.ndarray | None = None  # (l, l)
+    closed_loop: bool = False  # whether it was identified as if inputs reacted to outputs
+    at_rest: bool = False  # whether A is that of free decays alone (period by period)
+    # complex ndarray: multipliers of other motions in these decays: the response is not linear
     second_order: np.ndarray | tuple = ()
-    opinion: object = None
-    lifted: Lifted | None = None
+    opinion: object = None  # Opinion or None: its exponents as estimated in another way
+    lifted: Lifted | None = None  # motion within a period, if the model is one of whole periods
+    # Delays or None: delays of its signals, which the matrices do not include
     delays: object = None
 
     @property

@@ -26,42 +26,22 @@ LEAST_APART = DOUBT / 2.0  # of a rate, that two ways have to be apart for one t
 
 @dataclass(frozen=True, eq=False)
 class Opinion:
-    """Exponents, each known but for multiples of jω.
+    """Exponents, each known but for multiples of jω."""
 
-    Attributes
-    ----------
-    exponents : complex ndarray, shape (k,)
-        1/s.
-    deviations : ndarray, shape (k,)
-        Standard deviations, 1/s.
-    omega : float
-        rad/s.
-    way : str
-        Where they come from.
-    own : bool
-        Whether they are the model's, too: then their deviations are its own.
-    duration : float
-        Seconds of the longest segment.
-    needed : bool
-        Whether exponents that it does not confirm are in doubt, not just those it contradicts.
-    complete : bool
-        Whether it has every mode that lasts: more are too many, and those that it is sure of and a
-        model has not are missing.
-    of_small_motions : bool
-        Whether a linear model of this record, whose motions are large, is off by what is apart.
-    slowest : ndarray, shape (k,), or None
-        Real parts of the slowest that the record or its parts have for each; None of one whole.
-    """
-
-    exponents: np.ndarray
-    deviations: np.ndarray
-    omega: float
-    way: str
-    own: bool = False
-    duration: float = np.inf
+    exponents: np.ndarray  # complex, (k,): 1/s
+    deviations: np.ndarray  # (k,): standard deviations, 1/s
+    omega: float  # rad/s
+    way: str  # where they come from
+    own: bool = False  # whether they are the model's, too: then their deviations are its own
+    duration: float = np.inf  # seconds of the longest segment
+    # whether exponents that it does not confirm are in doubt, not just those it contradicts
     needed: bool = False
+    # whether it has every mode that lasts: more are too many, and those that it is sure of and a
+    # model has not are missing
     complete: bool = False
+    # whether a linear model of this record, whose motions are large, is off by what is apart
     of_small_motions: bool = False
+    # (k,): real parts of the slowest that the record or its parts have for each; None of one whole
     slowest: np.ndarray | None = None
 
     def of(self, exponents, way):

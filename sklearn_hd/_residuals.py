@@ -68,29 +68,15 @@ class Segment:
 
 @dataclass(frozen=True, eq=False)
 class Remainder:
-    """Residuals of a record under a model, without rounding.
+    """Residuals of a record under a model, without rounding."""
 
-    Attributes
-    ----------
-    segments : list of Segment
-    output_names, input_names : tuple of str
-    predicts : bool
-        Whether residuals are those of one-step predictions; else of simulations.
-    samples_per_period : float or None
-        None without a fundamental frequency.
-    n_loads : int
-        Harmonics of the forced response that were fitted; −1 for none, not even a mean.
-    trim : bool
-        Whether a periodic mean was subtracted.
-    """
-
-    segments: list
-    output_names: tuple
-    input_names: tuple
-    predicts: bool
-    samples_per_period: float | None
-    n_loads: int
-    trim: bool
+    segments: list  # of Segment
+    output_names: tuple  # of str
+    input_names: tuple  # of str
+    predicts: bool  # whether residuals are those of one-step predictions; else of simulations
+    samples_per_period: float | None  # None without a fundamental frequency
+    n_loads: int  # harmonics of the forced response that were fitted; −1 for none, not even a mean
+    trim: bool  # whether a periodic mean was subtracted
 
     @property
     def n_rows(self):

@@ -22,54 +22,28 @@ from sklearn_hd.systems import LTPSystem
 
 @dataclass(frozen=True, eq=False)
 class SampleModel:
-    """A periodic innovations model between named signals.
+    """A periodic innovations model between named signals."""
 
-    Attributes
-    ----------
-    innovations : PeriodicInnovations
-        In the units of the signals, forced response included.
-    omega : float
-        rad/s.
-    dt : float
-        Seconds from row to row.
-    input_names, output_names : tuple of str
-    feedthrough : bool
-        Whether D is free.
-    n_loads : int
-        Harmonics of the forced response; −1 where there is none, not even a mean.
-    input_mean : ndarray, shape (2 L + 1, m), or None
-        Fourier coefficients of the inputs' periodic mean at fit; None is zero.
-    trim_in_inputs : bool
-        Whether that is larger than the inputs' motion about it: they were given as measured.
-    opinion : Opinion or None
-        What another way has found of its exponents.
-    delays : Delays or None
-        Of its signals.
-    split : tuple of ndarray of int, or None
-        Whole samples of the delays of inputs and outputs, where the matrices hold the rest: there
-        are two of each input then, its new value and the old one.
-    state_names : tuple of str, or None
-    n_harmonics : int or None
-        That were fitted; those of the samples by default.
-    orbit_deviation : ndarray, shape (l,), or None
-        How far outputs of a machine at rest may be off, root mean square over a turn: large motions
-        shift their mean.
-    """
-
-    innovations: PeriodicInnovations
-    omega: float
-    dt: float
-    input_names: tuple
-    output_names: tuple
-    feedthrough: bool = False
-    n_loads: int = -1
+    innovations: PeriodicInnovations  # in the units of the signals, forced response included
+    omega: float  # rad/s
+    dt: float  # seconds from row to row
+    input_names: tuple  # of str
+    output_names: tuple  # of str
+    feedthrough: bool = False  # whether D is free
+    n_loads: int = -1  # harmonics of the forced response; −1 where there is none, not even a mean
+    # (2 L + 1, m): Fourier coefficients of the inputs' periodic mean at fit; None is zero
     input_mean: np.ndarray | None = None
+    # whether that is larger than the inputs' motion about it: they were given as measured
     trim_in_inputs: bool = False
-    opinion: object = None
-    delays: object = None
+    opinion: object = None  # Opinion or None: what another way has found of its exponents
+    delays: object = None  # Delays or None: of its signals
+    # tuple of ndarray of int, or None: whole samples of the delays of inputs and outputs, where the
+    # matrices hold the rest: there are two of each input then, its new value and the old one
     split: tuple | None = None
-    state_names: tuple | None = None
-    n_harmonics: int | None = None
+    state_names: tuple | None = None  # tuple of str, or None
+    n_harmonics: int | None = None  # that were fitted; those of the samples by default
+    # (l,): how far outputs of a machine at rest may be off, root mean square over a turn: large
+    # motions shift their mean
     orbit_deviation: np.ndarray | None = None
 
     windowed = False

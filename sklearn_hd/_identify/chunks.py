@@ -36,23 +36,14 @@ MOST_REST = 10.0  # half-lives, after which motion weighs 2⁻¹⁰: deviations 
 
 @dataclass(frozen=True)
 class OpenRecord:
-    """Rows of a record that the next chunk may go on with, less their trim.
-
-    Attributes
-    ----------
-    label : object
-    time, inputs, outputs : ndarray, shapes (n_carried,), (n_carried, m), (n_carried, l)
-    read_until : float
-        Time of the last row added to the statistics.
-    ahead : float
-        Seconds by which the index is ahead of ``time``, which counts from a ψ = 0 nearby.
-    """
+    """Rows of a record that the next chunk may go on with, less their trim."""
 
     label: object
-    time: np.ndarray
-    inputs: np.ndarray
-    outputs: np.ndarray
-    read_until: float = -np.inf
+    time: np.ndarray  # (n_carried,)
+    inputs: np.ndarray  # (n_carried, m)
+    outputs: np.ndarray  # (n_carried, l)
+    read_until: float = -np.inf  # time of the last row added to the statistics
+    # seconds by which the index is ahead of ``time``, which counts from a ψ = 0 nearby
     ahead: float = 0.0
 
     def extended(self, *rows):
@@ -64,48 +55,24 @@ class OpenRecord:
 
 @dataclass(frozen=True)
 class Stream:
-    """Statistics of all chunks so far; a chunk makes a new one.
+    """Statistics of all chunks so far; a chunk makes a new one."""
 
-    Attributes
-    ----------
-    block_rows : int
-        The most that a model can be made with.
-    basis : HarmonicBasis or PlainReading
-    sample_time : float
-    input_names, output_names : tuple of str
-    channels : Channels
-        Of the statistics.
-    origin : str or None
-        The instant from which dates are counted.
-    statistics : Statistics or None
-    record : OpenRecord or None
-    first, last : float
-        Times of the first and the last row.
-    changes : ndarray, shape (samples_per_period, n_drive), or None
-        Largest changes of the drive, by phase.
-    forgetting : Forgetting
-        Of the analysed rows.
-    n_read : int
-        Rows read.
-    moved : ndarray, shape (m,)
-        Rows read when each input last moved.
-    """
-
-    block_rows: int
-    basis: object
+    block_rows: int  # the most that a model can be made with
+    basis: object  # HarmonicBasis or PlainReading
     sample_time: float
-    input_names: tuple
-    output_names: tuple
-    channels: Channels
-    origin: str | None
-    first: float
+    input_names: tuple  # of str
+    output_names: tuple  # of str
+    channels: Channels  # of the statistics
+    origin: str | None  # the instant from which dates are counted
+    first: float  # times of the first and the last row
     last: float = 0.0
     statistics: Statistics | None = None
     record: OpenRecord | None = None
+    # (samples_per_period, n_drive): largest changes of the drive, by phase
     changes: np.ndarray | float = 0.0
-    forgetting: Forgetting = REMEMBERING
-    n_read: int = 0
-    moved: np.ndarray | float = 0.0
+    forgetting: Forgetting = REMEMBERING  # of the analysed rows
+    n_read: int = 0  # rows read
+    moved: np.ndarray | float = 0.0  # (m,): rows read when each input last moved
 
     # ---- chunks ------------------------------------------------------------------------------
 

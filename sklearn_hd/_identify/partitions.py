@@ -205,24 +205,13 @@ class Neighbours:
     """What some consecutive partitions leave behind.
 
     It tells how large it is, by which dask decides what to move where.
-
-    Attributes
-    ----------
-    statistics : Statistics
-    first, last : Place
-        Where the first segment begins, and where the last one ends.
-    steps : tuple of (float, int)
-        Sample times found, seconds, and from how many steps.
-    head : tuple
-        A row of X and one of y.
-    windowed : bool
     """
 
     statistics: Statistics
-    first: Place
+    first: Place  # where the first segment begins, and where the last one ends
     last: Place
-    steps: tuple
-    head: tuple
+    steps: tuple  # of (float, int): sample times found, seconds, and from how many steps
+    head: tuple  # a row of X and one of y
     windowed: bool
 
     def __sizeof__(self):

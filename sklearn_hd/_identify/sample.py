@@ -66,24 +66,14 @@ MOST_LEFT = 0.5  # of the outputs' variance, that a model of small motions in do
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Segments of a record about their forced periodic means, in like units.
+    """Segments of a record about their forced periodic means, in like units."""
 
-    Attributes
-    ----------
-    segments : list of (inputs, outputs, psi)
-    means : (ndarray, ndarray)
-        Fourier coefficients of what was taken out of inputs and outputs.
-    scales : (ndarray, ndarray)
-    facts : Facts
-    step : float
-        Radians from row to row, the mean.
-    """
-
-    segments: list
+    segments: list  # of (inputs, outputs, psi)
+    # (ndarray, ndarray): Fourier coefficients of what was taken out of inputs and outputs
     means: tuple
-    scales: tuple
+    scales: tuple  # (ndarray, ndarray)
     facts: Facts
-    step: float
+    step: float  # radians from row to row, the mean
 
     @property
     def longest(self):
@@ -228,19 +218,11 @@ def opinion(experiment):
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """A model after steps of its likelihood, and what speaks against it, found when asked for.
+    """A model after steps of its likelihood, and what speaks against it, found when asked for."""
 
-    Attributes
-    ----------
-    choice : Choice
-    chosen : Simulated
-        What it was chosen by.
-    refined : Refined
-    """
-
-    choice: object
-    chosen: Simulated
-    refined: object
+    choice: object  # Choice
+    chosen: Simulated  # what it was chosen by
+    refined: object  # Refined
 
     @classmethod
     def of(cls, choice, chosen):

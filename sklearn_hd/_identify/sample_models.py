@@ -39,23 +39,15 @@ PATIENCE = 6  # orders that may pass without a better one
 
 @dataclass(frozen=True, eq=False)
 class _States:
-    """States of every row, in constant coordinates: the first n are those of order n.
+    """States of every row, in constant coordinates: the first n are those of order n."""
 
-    Attributes
-    ----------
-    parts : list of (first, x, e)
-        Of each segment: its first row with a state, states (n_rows, bound), and innovations
-        (n_rows, l).
-    singular_values : ndarray
-    bound : int
-        The most states that there are.
-    of_outputs : ndarray, shape (bound, l)
-        Coordinates of what the predictor knows of a row's own outputs, the strongest first.
-    """
-
+    # of (first, x, e): of each segment: its first row with a state, states (n_rows, bound), and
+    # innovations (n_rows, l)
     parts: list
     singular_values: np.ndarray
-    bound: int
+    bound: int  # the most states that there are
+    # (bound, l): coordinates of what the predictor knows of a row's own outputs, the strongest
+    # first
     of_outputs: np.ndarray
 
     @classmethod
@@ -116,30 +108,17 @@ def _with_noise(covariance, noise=SENSOR_NOISE):
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """A model after steps of its likelihood.
+    """A model after steps of its likelihood."""
 
-    Attributes
-    ----------
-    linear : PeriodicInnovations
-        Without products.
-    linear_ahead : (ndarray, ndarray), or None
-        Where a further step leads the logarithms of its multipliers, and their deviations; None
-        without steps.
-    rest : ndarray, shape (2 L + 1, m)
-        Inputs of a machine at rest.
-    no_noise : str
-        Why what a linear model leaves is no noise, "" if it is.
-    large : LargeMotions or None
-        Where products of states and inputs pay; their linear part is the model then.
-    without : LargeMotions or None
-        The linear model, no products beside it yet; None without steps.
-    """
-
-    linear: PeriodicInnovations
+    linear: PeriodicInnovations  # without products
+    # (ndarray, ndarray), or None: where a further step leads the logarithms of its multipliers, and
+    # their deviations; None without steps
     linear_ahead: tuple | None
-    rest: np.ndarray
-    no_noise: str = ""
+    rest: np.ndarray  # (2 L + 1, m): inputs of a machine at rest
+    no_noise: str = ""  # why what a linear model leaves is no noise, "" if it is
+    # where products of states and inputs pay; their linear part is the model then
     large: LargeMotions | None = None
+    # the linear model, no products beside it yet; None without steps
     without: LargeMotions | None = None
 
     @cached_property
@@ -181,19 +160,11 @@ class Refined:
 
 @dataclass(frozen=True, eq=False)
 class _Models:
-    """Models of some order with more and more harmonics.
+    """Models of some order with more and more harmonics."""
 
-    Attributes
-    ----------
-    coordinates : ndarray, shape (2 H + 1, bound, n)
-        Of their states among constant ones, Fourier coefficients.
-    tried : list of (Simulated, bool)
-        And whether a machine may have such multipliers.
-    best : Simulated
-    """
-
+    # (2 H + 1, bound, n): of their states among constant ones, Fourier coefficients
     coordinates: np.ndarray
-    tried: list
+    tried: list  # of (Simulated, bool): and whether a machine may have such multipliers
     best: Simulated
 
     @property

@@ -54,41 +54,25 @@ class Settings:
 
 @dataclass(frozen=True)
 class SubspaceFit:
-    """What identification finds.
+    """What identification finds."""
 
-    Attributes
-    ----------
-    model : LTIModel
-        In the units of the signals.
-    x0 : ndarray, shape (n_segments, order)
-    block_rows, order : int
-    singular_values : ndarray
-    noise_floor : float
-    feedthrough_reason : str
-        Why D is free, or zero.
-    tried : tuple of Simulated
-        The models that the order was chosen from; none where singular values told it.
-    forced : ndarray, shape (samples_per_period, n_outputs), or None
-        What the trim of the outputs is off by, where it is identified together with the dynamics.
-    doubt : float
-        How far an exponent may be off, in parts of its rate, by the opinion that doubts most.
-    degrees : tuple of int
-        Of products of states and inputs, beside which the model is that of small motions.
-    left : float
-        Share of the outputs' variance, about their periodic means, that a simulation leaves.
-    """
-
-    model: LTIModel
-    x0: np.ndarray
+    model: LTIModel  # in the units of the signals
+    x0: np.ndarray  # (n_segments, order)
     block_rows: int
     order: int
     singular_values: np.ndarray = field(default_factory=lambda: np.zeros(0))
     noise_floor: float = 0.0
-    feedthrough_reason: str = ""
+    feedthrough_reason: str = ""  # why D is free, or zero
+    # of Simulated: the models that the order was chosen from; none where singular values told it
     tried: tuple = ()
+    # (samples_per_period, n_outputs): what the trim of the outputs is off by, where it is
+    # identified together with the dynamics
     forced: np.ndarray | None = None
+    # how far an exponent may be off, in parts of its rate, by the opinion that doubts most
     doubt: float = 0.0
+    # of int: of products of states and inputs, beside which the model is that of small motions
     degrees: tuple = ()
+    # share of the outputs' variance, about their periodic means, that a simulation leaves
     left: float = 0.0
 
     @property
@@ -100,21 +84,12 @@ class SubspaceFit:
 
 @dataclass(frozen=True)
 class Decomposition:
-    """The future outputs, decomposed with some block rows.
+    """The future outputs, decomposed with some block rows."""
 
-    Attributes
-    ----------
-    found : Projection or PredictorSubspace
-    block_rows, order : int
-    singular_values : ndarray
-        In the units of the outputs; canonical correlations have none.
-    noise_floor : float
-    """
-
-    found: Projection | PredictorSubspace
+    found: Projection | PredictorSubspace  # Projection or PredictorSubspace
     block_rows: int
     order: int
-    singular_values: np.ndarray
+    singular_values: np.ndarray  # in the units of the outputs; canonical correlations have none
     noise_floor: float
 
 

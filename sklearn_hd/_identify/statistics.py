@@ -42,39 +42,19 @@ FIRST_ROWS = 512  # which tell, mostly, whether a signal moves
 
 @dataclass(frozen=True, eq=False)
 class Facts:
-    """What checks and messages need to know of the data of a fit.
+    """What checks and messages need to know of the data of a fit."""
 
-    Attributes
-    ----------
-    basis : HarmonicBasis or PlainReading
-    output_names : tuple of str
-    sample_time : float
-        Seconds.
-    n_samples : int
-    words : str
-        First and last time, for messages.
-    moving : ndarray of bool, shape (n_drive,)
-        Which of the drive move within some segment.
-    still : tuple of str
-        Measured inputs that never do.
-    outputs_move, outputs_off : ndarray of bool, shape (l,)
-        Which outputs move, and which are ever other than zero.
-    together : tuple of str
-        Measured inputs of which some combination never moves: copies, say.
-    why_short : str
-        What made segments short, for messages; empty where nothing did.
-    """
-
-    basis: object
-    output_names: tuple
-    sample_time: float
+    basis: object  # HarmonicBasis or PlainReading
+    output_names: tuple  # of str
+    sample_time: float  # seconds
     n_samples: int
-    words: str
-    moving: np.ndarray
-    still: tuple
-    outputs_move: np.ndarray
-    outputs_off: np.ndarray
-    why_short: str = ""
+    words: str  # first and last time, for messages
+    moving: np.ndarray  # bool, (n_drive,): which of the drive move within some segment
+    still: tuple  # of str: measured inputs that never do
+    outputs_move: np.ndarray  # bool, (l,): which outputs move, and which are ever other than zero
+    outputs_off: np.ndarray  # bool, (l,)
+    why_short: str = ""  # what made segments short, for messages; empty where nothing did
+    # of str: measured inputs of which some combination never moves: copies, say
     together: tuple = ()
 
     @classmethod
@@ -275,18 +255,11 @@ def _root_mean_squares(signals):
 
 @dataclass(frozen=True)
 class Channels:
-    """What the sums are of: each of the drive times 1, cos ψ, sin ψ, …, then the outputs.
-
-    Attributes
-    ----------
-    n_drive, n_outputs : int
-    highest : int
-        Harmonic that the drive is multiplied by.
-    """
+    """What the sums are of: each of the drive times 1, cos ψ, sin ψ, …, then the outputs."""
 
     n_drive: int
     n_outputs: int
-    highest: int = 0
+    highest: int = 0  # harmonic that the drive is multiplied by
 
     @property
     def outputs(self):
@@ -302,29 +275,18 @@ class Channels:
 
 @dataclass(frozen=True)
 class Statistics:
-    """Sums over consecutive rows of one or more segments, that others may follow.
-
-    Attributes
-    ----------
-    channels : Channels
-    open : tuple of RowSums
-        Of the first and the last segment, that rows may be joined to; one if they are the same.
-    closed : Sums or None
-        Of the segments between these.
-    extremes : tuple of ndarray, shapes (2, n_drive + n_measured)
-        Smallest and largest values of drive and measured outputs in each segment.
-    size : ndarray, shape (n_measured,)
-        Largest magnitudes of the outputs as measured.
-    n_samples : int
-        Rows as given, of which not all may have been read.
-    """
+    """Sums over consecutive rows of one or more segments, that others may follow."""
 
     channels: Channels
+    # of RowSums: of the first and the last segment, that rows may be joined to; one if they are the
+    # same
     open: tuple
-    closed: Sums | None
+    closed: Sums | None  # of the segments between these
+    # (2, n_drive + n_measured): smallest and largest values of drive and measured outputs in each
+    # segment
     extremes: tuple
-    size: np.ndarray
-    n_samples: int
+    size: np.ndarray  # (n_measured,): largest magnitudes of the outputs as measured
+    n_samples: int  # rows as given, of which not all may have been read
 
     @classmethod
     def of(cls, channels, n_lags, rows, extremes, size, n_samples):

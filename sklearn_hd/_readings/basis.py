@@ -29,32 +29,20 @@ WARMUP_PERIODS = 5
 
 @dataclass(frozen=True)
 class Timing:
-    """How rows are read: when each was sampled, and what becomes of missing samples.
+    """How rows are read: when each was sampled, and what becomes of missing samples."""
 
-    Attributes
-    ----------
-    sample_time : float or None
-        Seconds from row to row; None reads it from the index.
-    time_origin : str or None
-        The instant from which dates are counted, as ISO text, or FIRST for the
-        first of them; None refuses dates.
-    azimuth : str or None
-        Name of the column that holds ψ.
-    missing : "raise", "gap" or float
-        What becomes of NaN; a number is the longest run to bridge, in seconds.
-    resampled : bool
-        Whether rows are resampled even if evenly spaced, as no whole number of
-        them makes a period.
-    row_time : float or None
-        Seconds from row to row at fit, of rows that come without times later; None where those at
-        fit had none.
-    """
-
-    sample_time: float | None = None
+    sample_time: float | None = None  # seconds from row to row; None reads it from the index
+    # the instant from which dates are counted, as ISO text, or FIRST for the first of them; None
+    # refuses dates
     time_origin: str | None = FIRST
-    azimuth: str | None = None
+    azimuth: str | None = None  # name of the column that holds ψ
+    # "raise", "gap" or float: what becomes of NaN; a number is the longest run to bridge, in
+    # seconds
     missing: float | str = RAISE
+    # whether rows are resampled even if evenly spaced, as no whole number of them makes a period
     resampled: bool = False
+    # seconds from row to row at fit, of rows that come without times later; None where those at fit
+    # had none
     row_time: float | None = None
 
 

@@ -53,19 +53,11 @@ class EveryRow:
 
 @dataclass(frozen=True)
 class PlainReading(EveryRow):
-    """The reading of data that no analyzer has seen.
+    """The reading of data that no analyzer has seen."""
 
-    Attributes
-    ----------
-    drive_labels, output_labels : tuple of str
-        Names of the inputs and the outputs.
-    timing : Timing
-        When rows were sampled.
-    """
-
-    drive_labels: tuple = ()
-    output_labels: tuple = ()
-    timing: Timing = field(default_factory=Timing)
+    drive_labels: tuple = ()  # of str: names of the inputs and the outputs
+    output_labels: tuple = ()  # of str
+    timing: Timing = field(default_factory=Timing)  # when rows were sampled
 
     reading = "plain"
     harmonic = False

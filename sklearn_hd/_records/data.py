@@ -39,21 +39,12 @@ PLAIN = PlainReading()
 
 @dataclass(frozen=True)
 class Signals:
-    """Values of some signals with their names and times.
+    """Values of some signals with their names and times."""
 
-    Attributes
-    ----------
-    data : ndarray, shape (n_rows, n_signals)
-        As given: NaN where a sample is missing.
-    names : tuple of str
-    base : TimeBase
-    azimuth : ndarray, shape (n_rows,), or None
-        ψ in radians, unwrapped within each segment; not among the signals.
-    """
-
-    data: np.ndarray
-    names: tuple
+    data: np.ndarray  # (n_rows, n_signals): as given: NaN where a sample is missing
+    names: tuple  # of str
     base: TimeBase
+    # (n_rows,): ψ in radians, unwrapped within each segment; not among the signals
     azimuth: np.ndarray | None = None
 
     def places(self, omega, step):
@@ -198,41 +189,20 @@ def check_features(estimator, X, *, reset):
 
 @dataclass(frozen=True)
 class Experiment:
-    """Inputs, and outputs where given, of every segment, as the model steps read them.
+    """Inputs, and outputs where given, of every segment, as the model steps read them."""
 
-    Attributes
-    ----------
-    base : TimeBase
-        Of the uniform grid that models are fitted and simulated on.
-    basis : HarmonicBasis or PlainReading
-    drive : list of ndarray, shapes (n_samples_s, n_drive)
-        What drives the model, trim subtracted.
-    inputs : list of ndarray, shapes (n_samples_s, n_inputs)
-        Measured inputs on the grid, trim subtracted.
-    sampling : Sampling
-        How the user's rows lie on the grid.
-    outputs : list of ndarray, shapes (n_samples_s, n_outputs), or None
-        Measured outputs on the grid, trim subtracted.
-    measured : ndarray, shape (n_rows, n_outputs), or None
-        Outputs at the user's rows, as given.
-    output_names : tuple of str
-        Of the columns of ``measured``.
-    origin : Experiment or None
-        The record as it was measured, where this is one without its delays.
-    delays : Delays or None
-        What was taken out of it.
-    """
-
-    base: TimeBase
-    basis: HarmonicBasis | PlainReading
-    drive: list
-    inputs: list
-    sampling: Sampling
+    base: TimeBase  # of the uniform grid that models are fitted and simulated on
+    basis: HarmonicBasis | PlainReading  # HarmonicBasis or PlainReading
+    drive: list  # (n_samples_s, n_drive): what drives the model, trim subtracted
+    inputs: list  # (n_samples_s, n_inputs): measured inputs on the grid, trim subtracted
+    sampling: Sampling  # how the user's rows lie on the grid
+    # (n_samples_s, n_outputs): measured outputs on the grid, trim subtracted
     outputs: list | None = None
-    measured: np.ndarray | None = None
-    output_names: tuple = ()
+    measured: np.ndarray | None = None  # (n_rows, n_outputs): outputs at the user's rows, as given
+    output_names: tuple = ()  # of str: of the columns of ``measured``
+    # Experiment or None: the record as it was measured, where this is one without its delays
     origin: object = None
-    delays: object = None
+    delays: object = None  # Delays or None: what was taken out of it
 
     @property
     def has_gaps(self):

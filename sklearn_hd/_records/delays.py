@@ -31,25 +31,13 @@ STEADY = 4  # samples: rows are left out by multiples, so that fits near each ot
 
 @dataclass(frozen=True, eq=False)
 class Delays:
-    """Delays of the signals of a model.
+    """Delays of the signals of a model."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Of the inputs, then the outputs.
-    n_inputs : int
-    seconds : ndarray, shape (m + l,)
-    std : ndarray, shape (m + l,)
-        Standard deviations; NaN where given, or not known.
-    free : ndarray of bool, shape (m + l,)
-        Which of them the data decide.
-    """
-
-    names: tuple
+    names: tuple  # of str: of the inputs, then the outputs
     n_inputs: int
-    seconds: np.ndarray
-    std: np.ndarray
-    free: np.ndarray
+    seconds: np.ndarray  # (m + l,)
+    std: np.ndarray  # (m + l,): standard deviations; NaN where given, or not known
+    free: np.ndarray  # bool, (m + l,): which of them the data decide
 
     @property
     def inputs(self):

@@ -45,24 +45,13 @@ STANDS_OUT = 6.0  # times their largest second difference
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """Consecutive rows of the user's without missing samples, and their grid.
+    """Consecutive rows of the user's without missing samples, and their grid."""
 
-    Attributes
-    ----------
-    rows : slice
-        The user's rows.
-    places : ndarray, shape (n_rows,)
-        Where they lie in the time of the grid, seconds.
-    grid : ndarray, shape (n_grid,)
-        Times of the grid; ``places`` itself where these are evenly spaced.
-    step : float
-        Of the grid, seconds.
-    """
-
-    rows: slice
-    places: np.ndarray
+    rows: slice  # the user's rows
+    places: np.ndarray  # (n_rows,): where they lie in the time of the grid, seconds
+    # (n_grid,): times of the grid; ``places`` itself where these are evenly spaced
     grid: np.ndarray
-    step: float
+    step: float  # of the grid, seconds
 
     @property
     def is_grid(self):
@@ -94,23 +83,12 @@ class Piece:
 
 @dataclass(frozen=True, eq=False)
 class Sampling:
-    """The grid that is analysed, and how the user's rows lie on it.
+    """The grid that is analysed, and how the user's rows lie on it."""
 
-    Attributes
-    ----------
-    base : TimeBase
-        Of the grid, one segment a piece.
-    pieces : tuple of Piece
-    n_rows : int
-        The user's rows, those in no piece too.
-    clock : ndarray, shape (n_grid,)
-        Time of the index, seconds, at each row of the grid.
-    """
-
-    base: TimeBase
-    pieces: tuple
-    n_rows: int
-    clock: np.ndarray
+    base: TimeBase  # of the grid, one segment a piece
+    pieces: tuple  # of Piece
+    n_rows: int  # the user's rows, those in no piece too
+    clock: np.ndarray  # (n_grid,): time of the index, seconds, at each row of the grid
 
     def onto_grid(self, values, held=False, omega=None):
         """The user's rows of some signals on the grid, one array a segment.

@@ -35,19 +35,10 @@ ROWS_PER_COLUMN = 4  # at least, of the regression
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Whole samples of delays, and the rest of them.
+    """Whole samples of delays, and the rest of them."""
 
-    Attributes
-    ----------
-    input_lags : ndarray of int, shape (m,)
-        k_i: an input is late by k_i + f_i samples.
-    output_lags : ndarray of int, shape (l,)
-        d_j: an output is read d_j − g_j samples late.
-    fractions : Fractions
-    """
-
-    input_lags: np.ndarray
-    output_lags: np.ndarray
+    input_lags: np.ndarray  # int, (m,): k_i: an input is late by k_i + f_i samples
+    output_lags: np.ndarray  # int, (l,): d_j: an output is read d_j − g_j samples late
     fractions: Fractions
 
     @classmethod

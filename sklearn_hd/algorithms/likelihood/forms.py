@@ -53,20 +53,11 @@ MOST_TURNS = 40  # of which one comes nearest to whole samples
 
 @dataclass(frozen=True, eq=False)
 class Fractions:
-    """What of some delays is no whole number of samples, and which of them are parameters.
+    """What of some delays is no whole number of samples, and which of them are parameters."""
 
-    Attributes
-    ----------
-    inputs : ndarray, shape (m,)
-        f_i, between 0 and 1: from then on an input has its new value.
-    outputs : ndarray, shape (l,)
-        1 − g_j, between 0 and 1: delays beyond d_j − 1 samples.
-    free : ndarray of int, shape (k,)
-        Places of those, inputs and outputs one after another, that are parameters.
-    """
-
-    inputs: np.ndarray
-    outputs: np.ndarray
+    inputs: np.ndarray  # (m,): f_i, between 0 and 1: from then on an input has its new value
+    outputs: np.ndarray  # (l,): 1 − g_j, between 0 and 1: delays beyond d_j − 1 samples
+    # int, (k,): places of those, inputs and outputs one after another, that are parameters
     free: np.ndarray
 
     @property
@@ -277,45 +268,26 @@ class Form:
 
     Its parameters are those of the structure, then free delays, then the Fourier coefficients of
     K(ψ) in the order harmonic, state, output.
-
-    Attributes
-    ----------
-    structure : PeriodicStructure
-        Of a system in continuous time, or of the steps themselves.
-    omega : float
-        rad/s.
-    n_phases : float
-        Samples a period, whole or not.
-    observe : ndarray, shape (n_phases, l, l_model), or None
-        What is measured of the model's outputs at each phase.
-    discrete : bool
-        Whether the structure is one of steps, [A B; C D](ψ).
-    n_gain_harmonics : int or None
-        Of K(ψ); None for a simulation, without K.
-    n_points : int or None
-        Azimuths of a turn between which matrices are interpolated, odd; None for the samples'.
-    delays : Fractions or None
-        Of a sample, of what is late; inputs are then given as the new ones, and the old ones.
-    gauge : bool
-        Whether coordinates are free, so that directions that move no output do not count.
-    waveform : bool
-        Whether each record has a waveform of the turn of its own, which is unknown: what a trim
-        that was subtracted is off by. Turns then hold whole samples.
-    input_size : ndarray, shape (n, m), or None
-        About the size of each entry of G, which changes smoothly with ψ, for inputs but the last
-        few; None if it may change in any way.
     """
 
-    structure: PeriodicStructure
-    omega: float
-    n_phases: float
+    structure: PeriodicStructure  # of a system in continuous time, or of the steps themselves
+    omega: float  # rad/s
+    n_phases: float  # samples a period, whole or not
+    # (n_phases, l, l_model): what is measured of the model's outputs at each phase
     observe: np.ndarray | None = None
-    discrete: bool = False
-    n_gain_harmonics: int | None = None
+    discrete: bool = False  # whether the structure is one of steps, [A B; C D](ψ)
+    n_gain_harmonics: int | None = None  # of K(ψ); None for a simulation, without K
+    # azimuths of a turn between which matrices are interpolated, odd; None for the samples'
     n_points: int | None = None
+    # of a sample, of what is late; inputs are then given as the new ones, and the old ones
     delays: Fractions | None = None
+    # whether coordinates are free, so that directions that move no output do not count
     gauge: bool = False
+    # whether each record has a waveform of the turn of its own, which is unknown: what a trim that
+    # was subtracted is off by. Turns then hold whole samples.
     waveform: bool = False
+    # (n, m): about the size of each entry of G, which changes smoothly with ψ, for inputs but the
+    # last few; None if it may change in any way
     input_size: np.ndarray | None = None
 
     @property

@@ -61,24 +61,14 @@ DRAWS = 8  # of which the most likely is a start
 
 @dataclass(frozen=True, eq=False)
 class FreeFit:
-    """The most likely model, in innovations form.
+    """The most likely model, in innovations form."""
 
-    Attributes
-    ----------
-    coefficients : ndarray, shape (2 H + 1, n + l, n + m)
-        Of [A B; C D](ψ), in the order 0, 1c, 1s, ….
-    gain : ndarray, shape (2 H' + 1, n, l), or None
-        Of K(ψ); None for a simulation.
-    slopes : ndarray, shape (k, size of the coefficients)
-        How all coefficients, one after another, change with the parameters of the search.
-    result : LikelihoodResult
-        Its ``theta`` and ``covariance`` are those of local coordinates.
-    """
-
-    coefficients: np.ndarray
-    gain: np.ndarray | None
+    coefficients: np.ndarray  # (2 H + 1, n + l, n + m): of [A B; C D](ψ), in the order 0, 1c, 1s, …
+    gain: np.ndarray | None  # (2 H' + 1, n, l): of K(ψ); None for a simulation
+    # (k, size of the coefficients): how all coefficients, one after another, change with the
+    # parameters of the search
     slopes: np.ndarray
-    result: LikelihoodResult
+    result: LikelihoodResult  # its ``theta`` and ``covariance`` are those of local coordinates
 
 
 def free_form(
@@ -223,18 +213,10 @@ def highest(coefficients):
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """One of the models, what predictions are linear in at its optimum.
+    """One of the models, what predictions are linear in at its optimum."""
 
-    Attributes
-    ----------
-    chart : OutputNormal or AllEntries
-    problem : Problem
-        Whose parameters are what predictions are linear in, then those of the chart.
-    point : Point
-    """
-
-    chart: object
-    problem: Problem
+    chart: object  # OutputNormal or AllEntries
+    problem: Problem  # whose parameters are what predictions are linear in, then those of the chart
     point: Point
 
     @property
@@ -244,17 +226,10 @@ class Model:
 
 @dataclass(frozen=True, eq=False)
 class FreeForm:
-    """Models of some order.
+    """Models of some order."""
 
-    Attributes
-    ----------
-    problem : Problem
-        Its structure is not used.
-    drives : ndarray of bool, shape (2 H + 1, n + l, n + m)
-        What predictions are linear in, of [A B; C D](ψ).
-    """
-
-    problem: Problem
+    problem: Problem  # its structure is not used
+    # bool, (2 H + 1, n + l, n + m): what predictions are linear in, of [A B; C D](ψ)
     drives: np.ndarray
 
     def model(self, chart, like=None):
@@ -476,18 +451,10 @@ def _compressed(problem, theta, x0, count):
 
 @dataclass(frozen=True, eq=False)
 class OutputNormal:
-    """Time-invariant models about one.
+    """Time-invariant models about one."""
 
-    Attributes
-    ----------
-    frame : ndarray, shape (n + l, n)
-        [A/ρ; C], its columns orthonormal.
-    across : ndarray, shape (n + l, l)
-        Orthonormal to it.
-    """
-
-    frame: np.ndarray
-    across: np.ndarray
+    frame: np.ndarray  # (n + l, n): [A/ρ; C], its columns orthonormal
+    across: np.ndarray  # (n + l, l): orthonormal to it
 
     @classmethod
     def of(cls, A, C):
@@ -552,15 +519,9 @@ class OutputNormal:
 
 @dataclass(frozen=True, eq=False)
 class AllEntries:
-    """Periodic models about one.
+    """Periodic models about one."""
 
-    Attributes
-    ----------
-    columns : ndarray, shape (2 H + 1, n + l, n)
-        Fourier coefficients of [A; C].
-    """
-
-    columns: np.ndarray
+    columns: np.ndarray  # (2 H + 1, n + l, n): Fourier coefficients of [A; C]
 
     @property
     def tangents(self):

@@ -115,22 +115,14 @@ def most_likely(
 
 @dataclass(frozen=True, eq=False)
 class NextStep:
-    """What another whole step of a likelihood would do beside further inputs.
+    """What another whole step of a likelihood would do beside further inputs."""
 
-    Attributes
-    ----------
-    beyond : float
-        Standard deviations of a normal variable by which the slopes of −log L by their effect, in
-        which residuals are linear, are beyond what noise explains.
-    ahead : (ndarray, ndarray)
-        As :func:`most_likely` has it, of a step in all coefficients.
-    of_loads : list of PeriodicInnovations
-        The model after a step of the loads and of that effect alone, and a standard deviation
-        beside it in each direction in which these are known.
-    """
-
+    # standard deviations of a normal variable by which the slopes of −log L by their effect, in
+    # which residuals are linear, are beyond what noise explains
     beyond: float
-    ahead: tuple
+    ahead: tuple  # (ndarray, ndarray): as :func:`most_likely` has it, of a step in all coefficients
+    # of PeriodicInnovations: the model after a step of the loads and of that effect alone, and a
+    # standard deviation beside it in each direction in which these are known
     of_loads: list
 
 
@@ -191,26 +183,14 @@ def _telling(segments, counted, n_rows):
 
 @dataclass(frozen=True, eq=False)
 class _Form:
-    """Which coefficients of a model are free.
-
-    Attributes
-    ----------
-    n_harmonics, n_loads : int
-    feedthrough : bool
-    n_inputs : list of int
-        For 1, cos ψ, sin ψ, …: of how many inputs the effect is free.
-    places : ndarray of int, shape (k,)
-        Of the free ones, in [A B a; C D c] and then K, flattened.
-    of_states : ndarray of int, shape (2 H + 1, n, n)
-        Places of A.
-    """
+    """Which coefficients of a model are free."""
 
     n_harmonics: int
     n_loads: int
     feedthrough: bool
-    n_inputs: list
-    places: np.ndarray
-    of_states: np.ndarray
+    n_inputs: list  # of int: for 1, cos ψ, sin ψ, …: of how many inputs the effect is free
+    places: np.ndarray  # int, (k,): of the free ones, in [A B a; C D c] and then K, flattened
+    of_states: np.ndarray  # int, (2 H + 1, n, n): places of A
 
     @classmethod
     def of(cls, innovations, layout):
@@ -344,21 +324,11 @@ def _started(W, rows, counts):
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """Normal equations in parameters of like size.
+    """Normal equations in parameters of like size."""
 
-    Attributes
-    ----------
-    gram : ndarray, shape (k, k)
-        Of ones on the diagonal.
-    slope : ndarray, shape (k,)
-        Of the likelihood.
-    size : ndarray, shape (k,)
-        By which parameters were multiplied.
-    """
-
-    gram: np.ndarray
-    slope: np.ndarray
-    size: np.ndarray
+    gram: np.ndarray  # (k, k): of ones on the diagonal
+    slope: np.ndarray  # (k,): of the likelihood
+    size: np.ndarray  # (k,): by which parameters were multiplied
 
     @classmethod
     def of(cls, gram, slope):
@@ -438,26 +408,15 @@ class _System:
 
 @dataclass(frozen=True, eq=False)
 class _Fitted:
-    """A model, what it leaves of each segment, and the cost of that.
-
-    Attributes
-    ----------
-    innovations : PeriodicInnovations
-    parts : list of (rows, inputs, states, residuals, psi)
-    counted : list of slice, or of ndarray of bool
-        Which rows of them count.
-    covariance, weights : ndarray, shape (l, l)
-        Of the residuals, and what makes them white beside the least noise.
-    cost : float
-        −log L.
-    """
+    """A model, what it leaves of each segment, and the cost of that."""
 
     innovations: PeriodicInnovations
-    parts: list
-    counted: list
+    parts: list  # of (rows, inputs, states, residuals, psi)
+    counted: list  # of slice, or of ndarray of bool: which rows of them count
+    # (l, l): of the residuals, and what makes them white beside the least noise
     covariance: np.ndarray
-    weights: np.ndarray
-    cost: float
+    weights: np.ndarray  # (l, l)
+    cost: float  # −log L
 
     @property
     def left(self):

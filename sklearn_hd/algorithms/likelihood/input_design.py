@@ -42,19 +42,11 @@ LEVELS = np.array([-1.0, 0.0, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class ExponentBound:
-    """Cramér-Rao bound of the exponents for any records of a system that starts about rest.
-
-    Attributes
-    ----------
-    form : Form
-    theta : ndarray, shape (k,)
-    sigma : ndarray, shape (l,)
-        Standard deviations of the outputs' noise.
-    """
+    """Cramér-Rao bound of the exponents for any records of a system that starts about rest."""
 
     form: Form
-    theta: np.ndarray
-    sigma: np.ndarray
+    theta: np.ndarray  # (k,)
+    sigma: np.ndarray  # (l,): standard deviations of the outputs' noise
 
     @cached_property
     def _slopes(self):
@@ -170,18 +162,11 @@ def exchange(family, cost, n_trials, rng):
 
 @dataclass(frozen=True)
 class Steps:
-    """Inputs held at −1, 0 or 1 between edges that are free.
-
-    Attributes
-    ----------
-    n_rows, n_inputs : int
-    per_period : int
-        Rows of a period.
-    """
+    """Inputs held at −1, 0 or 1 between edges that are free."""
 
     n_rows: int
     n_inputs: int
-    per_period: int
+    per_period: int  # rows of a period
 
     def starts(self, rng):
         """Doublets, 3-2-1-1 and random steps of several widths, (n_rows, n_inputs) each."""
@@ -237,18 +222,11 @@ class Steps:
 
 @dataclass(frozen=True)
 class Multisines:
-    """Inputs made of lines that are harmonics of the whole, of largest value 1.
-
-    Attributes
-    ----------
-    n_rows, n_inputs : int
-    per_period : int
-        Rows of a period.
-    """
+    """Inputs made of lines that are harmonics of the whole, of largest value 1."""
 
     n_rows: int
     n_inputs: int
-    per_period: int
+    per_period: int  # rows of a period
 
     @cached_property
     def lines(self):

@@ -62,25 +62,14 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class LinearSystem:
-    """Weighted least squares for a step, the initial states eliminated.
+    """Weighted least squares for a step, the initial states eliminated."""
 
-    Attributes
-    ----------
-    R : ndarray, shape (k + 1, k + 1)
-        Triangular factor of the weighted [J r], its projection on x0 taken out.
-    squares : ndarray, shape (k,)
-        Those of J's columns before that, summed.
-    states : list of ndarray, shape (n, k + 1)
-        The best change of x0 is −states [step; 1].
-    bounds : tuple of ndarray, shape (k,), or None
-        Least and largest steps.
-    """
-
+    # (k + 1, k + 1): triangular factor of the weighted [J r], its projection on x0 taken out
     R: np.ndarray
-    squares: np.ndarray
-    states: list
+    squares: np.ndarray  # (k,): those of J's columns before that, summed
+    states: list  # of ndarray, shape (n, k + 1): the best change of x0 is −states [step; 1]
     promised_by_states: float
-    bounds: tuple | None = None
+    bounds: tuple | None = None  # tuple of ndarray, shape (k,), or None: least and largest steps
 
     @cached_property
     def steps(self):

@@ -27,23 +27,13 @@ TILE = 64  # samples of a time-invariant system that make a period
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """One contiguous record.
+    """One contiguous record."""
 
-    Attributes
-    ----------
-    inputs : ndarray, shape (n_samples, m)
-        Held from sample to sample.
-    outputs : ndarray, shape (n_samples, l)
-    first_phase : int
-        Phase of the first sample, in samples after ψ = 0.
-    psi : ndarray, shape (n_samples,), or None
-        Azimuths, where a turn holds no whole number of samples; ``first_phase`` then means
-        nothing.
-    """
-
-    inputs: np.ndarray
-    outputs: np.ndarray
-    first_phase: int
+    inputs: np.ndarray  # (n_samples, m): held from sample to sample
+    outputs: np.ndarray  # (n_samples, l)
+    first_phase: int  # phase of the first sample, in samples after ψ = 0
+    # (n_samples,): azimuths, where a turn holds no whole number of samples; ``first_phase`` then
+    # means nothing
     psi: np.ndarray | None = None
 
 

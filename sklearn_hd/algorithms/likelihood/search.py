@@ -28,60 +28,29 @@ class OverflowingStartError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class LikelihoodResult:
-    """What maximum likelihood found.
+    """What maximum likelihood found."""
 
-    Attributes
-    ----------
-    theta : ndarray, shape (k,)
-        Of the structure.
-    delays : ndarray, shape (k_d,)
-        Those that are parameters, in samples beyond the whole ones of the record.
-    gain : ndarray, shape (2 H + 1, n, l), or None
-        Fourier coefficients of K; None for a simulation.
-    spread : ndarray, shape (l, l)
-        Covariance of what is left, corrected for the degrees of freedom that the fit has used
-        (all outputs share them alike), or as given.
-    covariance : ndarray, shape (k + k_d, k + k_d)
-        Of θ and delays, gain and initial states being unknown: inverse of the Fisher matrix.
-        Infinite on the diagonal and NaN off it for parameters that are not identified.
-    cost : float
-        Negative logarithm of the likelihood.
-    n_residuals : int
-        Values of outputs.
-    n_parameters : int
-        All that were estimated: θ, gain, initial states, waveforms, noise levels.
-    n_iter : int
-        Jacobians taken.
-    converged : bool
-    unidentified : tuple of str
-        Parameters that the data do not determine.
-    problem : Problem
-    point : Point
-        Where the search ended.
-    system : LinearSystem
-        Of the records there.
-    ahead : LinearSystem
-        For another step from there, what is known beforehand included.
-    correction : float
-        For the degrees of freedom that the fit has used, in the covariances.
-    """
-
-    theta: np.ndarray
+    theta: np.ndarray  # (k,): of the structure
+    # (k_d,): those that are parameters, in samples beyond the whole ones of the record
     delays: np.ndarray
-    gain: np.ndarray | None
+    gain: np.ndarray | None  # (2 H + 1, n, l): Fourier coefficients of K; None for a simulation
+    # (l, l): covariance of what is left, corrected for the degrees of freedom that the fit has used
+    # (all outputs share them alike), or as given
     spread: np.ndarray
+    # (k + k_d, k + k_d): of θ and delays, gain and initial states being unknown: inverse of the
+    # Fisher matrix. Infinite on the diagonal and NaN off it for parameters that are not identified.
     covariance: np.ndarray
-    cost: float
-    n_residuals: int
-    n_parameters: int
-    n_iter: int
+    cost: float  # negative logarithm of the likelihood
+    n_residuals: int  # values of outputs
+    n_parameters: int  # all that were estimated: θ, gain, initial states, waveforms, noise levels
+    n_iter: int  # jacobians taken
     converged: bool
-    unidentified: tuple
+    unidentified: tuple  # of str: parameters that the data do not determine
     problem: Problem
-    point: Point
-    system: LinearSystem
-    ahead: LinearSystem
-    correction: float
+    point: Point  # where the search ended
+    system: LinearSystem  # of the records there
+    ahead: LinearSystem  # for another step from there, what is known beforehand included
+    correction: float  # for the degrees of freedom that the fit has used, in the covariances
 
     @property
     def sigma(self):

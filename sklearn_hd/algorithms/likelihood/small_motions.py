@@ -64,68 +64,41 @@ AS_LITTLE = 1.1  # times what another model leaves: no more
 
 @dataclass(frozen=True, eq=False)
 class SmallMotions:
-    """The linear part of a model to which products of states and inputs are further inputs.
+    """The linear part of a model to which products of states and inputs are further inputs."""
 
-    Attributes
-    ----------
-    innovations : PeriodicInnovations
-        K is that of the model without products, for which they are noise, or that of the
-        simulation (0), whichever leaves less.
-    at_rest : PeriodicInnovations
-        The same with the loads of a machine at rest: those above hold the products' means, too.
-        Where ``about_rest`` is false, as far as the linear part leads from the mean motion.
-    ahead, of_smaller : (ndarray, ndarray)
-        Where a further step leads the logarithms of its multipliers, and their deviations. By all
-        rows, and by the half of them with the smaller motion (None if they are too few).
-    about_rest : bool
-        Whether all this is about the orbit of a machine at rest, or about the mean motion.
-    """
-
+    # K is that of the model without products, for which they are noise, or that of the simulation
+    # (0), whichever leaves less
     innovations: PeriodicInnovations
+    # the same with the loads of a machine at rest: those above hold the products' means, too. Where
+    # ``about_rest`` is false, as far as the linear part leads from the mean motion.
     at_rest: PeriodicInnovations
+    # (ndarray, ndarray): where a further step leads the logarithms of its multipliers, and their
+    # deviations. By all rows, and by the half of them with the smaller motion (None if they are too
+    # few).
     ahead: tuple
-    of_smaller: tuple | None
+    of_smaller: tuple | None  # (ndarray, ndarray)
+    # whether all this is about the orbit of a machine at rest, or about the mean motion
     about_rest: bool
 
 
 @dataclass(frozen=True, eq=False)
 class LargeMotions:
-    """A model to which products of states and inputs are further inputs.
+    """A model to which products of states and inputs are further inputs."""
 
-    Attributes
-    ----------
-    linear, model : PeriodicInnovations
-        Without and with products, whose states are those that ``linear`` (then ``model`` of fewer
-        degrees) predicts.
-    ahead : (ndarray, ndarray)
-        As :func:`~.innovations_steps.most_likely` has it.
-    products : _Products
-    segments, driven : list of (inputs, outputs, psi)
-        Without and with them.
-    layout : Layout
-        Of the model without them, whose inputs' effect turns with ψ.
-    turning : bool
-        Whether the effect of products does, too; else it is a constant one.
-    sensor_noise, most_growth : float
-        As for :func:`~.innovations_steps.most_likely`.
-    gain : ndarray or None
-        Of a predictor, for a model that simulates.
-    asked : bool
-        Whether the degrees were given.
-    """
-
+    # without and with products, whose states are those that ``linear`` (then ``model`` of fewer
+    # degrees) predicts
     linear: PeriodicInnovations
     model: PeriodicInnovations
-    ahead: tuple | None
+    ahead: tuple | None  # (ndarray, ndarray): as :func:`~.innovations_steps.most_likely` has it
     products: "_Products | None"
-    segments: list
-    driven: list
-    layout: Layout
-    turning: bool
-    sensor_noise: float
+    segments: list  # of (inputs, outputs, psi): without and with them
+    driven: list  # of (inputs, outputs, psi)
+    layout: Layout  # of the model without them, whose inputs' effect turns with ψ
+    turning: bool  # whether the effect of products does, too; else it is a constant one
+    sensor_noise: float  # as for :func:`~.innovations_steps.most_likely`
     most_growth: float
-    gain: np.ndarray | None
-    asked: bool
+    gain: np.ndarray | None  # of a predictor, for a model that simulates
+    asked: bool  # whether the degrees were given
 
     @classmethod
     def without(
@@ -330,30 +303,17 @@ class LargeMotions:
 
 @dataclass(frozen=True, eq=False)
 class _Products:
-    """Products of states and inputs, in like size and without their means: inputs beside others.
+    """Products of states and inputs, in like size and without their means: inputs beside others."""
 
-    Attributes
-    ----------
-    degrees : tuple of int
-    left_out : tuple of tuple of int
-        Products that are not among them: they tell the same as their factors, or hardly move about
-        q̄, as the square of an input about the level half way between its two.
-    which : list of tuple of int
-        The factors of each product.
-    centre : ndarray, shape (2 L + 1, n + m)
-        z̄, Fourier coefficients of what states and inputs are counted from.
-    size : ndarray, shape (k,)
-        By which products are divided.
-    means : ndarray, shape (2 L + 1, k)
-        q̄, in that size.
-    """
-
-    degrees: tuple
+    degrees: tuple  # of int
+    # of tuple of int: products that are not among them: they tell the same as their factors, or
+    # hardly move about q̄, as the square of an input about the level half way between its two
     left_out: tuple
-    which: list
+    which: list  # of tuple of int: the factors of each product
+    # (2 L + 1, n + m): z̄, Fourier coefficients of what states and inputs are counted from
     centre: np.ndarray
-    size: np.ndarray
-    means: np.ndarray
+    size: np.ndarray  # (k,): by which products are divided
+    means: np.ndarray  # (2 L + 1, k): q̄, in that size
 
     @classmethod
     def of(cls, motion, degrees, n_loads, centre=None, left_out=()):

@@ -41,21 +41,13 @@ FEWEST = 10  # rows of a block
 
 @dataclass(frozen=True, eq=False)
 class FisherInformation:
-    """What records can tell of parameters.
+    """What records can tell of parameters."""
 
-    Attributes
-    ----------
-    information : ndarray, shape (k, k)
-        Fisher matrix of θ, the initial states eliminated.
-    covariance : ndarray, shape (k, k)
-        Its inverse, the Cramér-Rao bound; infinite on the diagonal and NaN off it for
-        parameters that are not identified.
-    unidentified : tuple of str
-    """
-
-    information: np.ndarray
+    information: np.ndarray  # (k, k): Fisher matrix of θ, the initial states eliminated
+    # (k, k): its inverse, the Cramér-Rao bound; infinite on the diagonal and NaN off it for
+    # parameters that are not identified
     covariance: np.ndarray
-    unidentified: tuple
+    unidentified: tuple  # of str
 
 
 def fisher_information(form, theta, segments, sigma):
@@ -202,16 +194,10 @@ def _monodromy_derivative(response):
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """Scores and information of the parts of a record.
+    """Scores and information of the parts of a record."""
 
-    Attributes
-    ----------
-    scores : ndarray, shape (c, k)
-    information : ndarray, shape (c, k, k)
-    """
-
-    scores: np.ndarray
-    information: np.ndarray
+    scores: np.ndarray  # (c, k)
+    information: np.ndarray  # (c, k, k)
 
     def sandwich(self, covariance):
         """Covariance of θ from the scores of blocks in time, neighbours at half their weight."""
@@ -249,20 +235,11 @@ class Parts:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Quantities as the parts of a record tell them.
+    """Quantities as the parts of a record tell them."""
 
-    Attributes
-    ----------
-    offsets : ndarray, shape (r, c)
-        From the estimate of all.
-    variance : ndarray, shape (r,)
-        Between the parts, beyond what noise explains.
-    p_value : ndarray, shape (r,)
-    """
-
-    offsets: np.ndarray
-    variance: np.ndarray
-    p_value: np.ndarray
+    offsets: np.ndarray  # (r, c): from the estimate of all
+    variance: np.ndarray  # (r,): between the parts, beyond what noise explains
+    p_value: np.ndarray  # (r,)
 
 
 def part_scores(result, divisions):

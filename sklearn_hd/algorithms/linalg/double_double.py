@@ -22,13 +22,7 @@ RANK_TOLERANCE = 2.0**-86  # of a diagonal entry: what is left of nothing, with 
 
 @dataclass(frozen=True)
 class Pair:
-    """An array in double-double; without the lower half, in double.
-
-    Attributes
-    ----------
-    high : ndarray
-    low : ndarray or None
-    """
+    """An array in double-double; without the lower half, in double."""
 
     high: np.ndarray
     low: np.ndarray | None = None

@@ -134,23 +134,13 @@ class BoundedSteps:
 
 @dataclass(frozen=True, eq=False)
 class GridFit:
-    """A least-squares match.
+    """A least-squares match."""
 
-    Attributes
-    ----------
-    theta : ndarray, shape (k,)
-    residual : float
-        Relative to the length of G_c on the grid.
-    promised : float
-        By how much the sum of squares could still fall at first order, relative to it.
-    history : tuple of float
-        The residual after each step, on the lines Re s = α that led here.
-    """
-
-    theta: np.ndarray
-    residual: float
+    theta: np.ndarray  # (k,)
+    residual: float  # relative to the length of G_c on the grid
+    # by how much the sum of squares could still fall at first order, relative to it
     promised: float
-    history: tuple
+    history: tuple  # of float: the residual after each step, on the lines Re s = α that led here
 
     @property
     def n_iter(self):

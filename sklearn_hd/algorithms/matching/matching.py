@@ -33,69 +33,41 @@ from sklearn_hd.algorithms.matching.smooth_peak import GAP, Certificate, smooth_
 
 @dataclass(frozen=True, eq=False)
 class MatchResult:
-    """What :func:`match_structure` found.
+    """What :func:`match_structure` found."""
 
-    Attributes
-    ----------
-    theta : ndarray, shape (k,)
-    A, B, C, D : ndarray
-        The structured model at θ; stable.
-    hinf_error : float
-        ‖W_o (G_c − G_s) W_i‖_∞, in the outputs' unit per input's unit.
-    relative_error : float
-        The same divided by ‖W_o G_c W_i‖_∞.
-    peak_frequency : float
-        rad/s; where the error is largest.
-    theta_least_squares : ndarray, shape (k,)
-        The match in the mean square over frequency: where the model does not lie in the
-        structure, usually the better estimate of the parameters.
-    feedthrough_floor : float
-        Lower bound of ``hinf_error`` that the fixed entries of D_s leave: the error at
-        infinite frequency. 0 where D_s can equal D_c.
-    exact : bool
-        True if the match holds to rounding, judged by the residual.
-    converged : bool
-        True if exact, or if ``left`` is within ``tolerance``.
-    predicted_decrease : float
-        By how much at most, relative to itself, the criterion could still fall at first order.
-    certificate : Certificate or None
-        First-order conditions of the least H∞ norm; None in the mean square and for exact
-        matches.
-    n_iter : int
-        Steps of the least-squares matches kept and of the descents in the norm.
-    history : tuple of (str, float)
-        Stage and its measure after each step on the way here: ``"least squares"`` (length
-        of the error over the grid, relative to that of G_c), ``"minimax"`` (relative H∞
-        norm, after each tightening of its smooth bound).
-    left, tolerance : float
-        What is left of the search, and where that counts as none: ``predicted_decrease`` in
-        the mean square; how far the smooth bound lies above the H∞ norm, relative to it.
-    singular_values : ndarray, shape (k,)
-        Of the sensitivity of the response, its columns scaled to length one.
-    unidentified : tuple of str
-        Parameters in the null space of the sensitivity: this response does not determine
-        them (only some combinations), and they stay near where they started.
-    """
-
-    theta: np.ndarray
-    A: np.ndarray
+    theta: np.ndarray  # (k,)
+    A: np.ndarray  # the structured model at θ; stable
     B: np.ndarray
     C: np.ndarray
     D: np.ndarray
-    hinf_error: float
-    relative_error: float
-    peak_frequency: float
+    hinf_error: float  # ‖W_o (G_c − G_s) W_i‖_∞, in the outputs' unit per input's unit
+    relative_error: float  # the same divided by ‖W_o G_c W_i‖_∞
+    peak_frequency: float  # rad/s; where the error is largest
+    # (k,): the match in the mean square over frequency: where the model does not lie in the
+    # structure, usually the better estimate of the parameters
     theta_least_squares: np.ndarray
+    # lower bound of ``hinf_error`` that the fixed entries of D_s leave: the error at infinite
+    # frequency. 0 where D_s can equal D_c.
     feedthrough_floor: float
-    exact: bool
-    converged: bool
+    exact: bool  # True if the match holds to rounding, judged by the residual
+    converged: bool  # True if exact, or if ``left`` is within ``tolerance``
+    # by how much at most, relative to itself, the criterion could still fall at first order
     predicted_decrease: float
+    # first-order conditions of the least H∞ norm; None in the mean square and for exact matches
     certificate: Certificate | None
-    n_iter: int
+    n_iter: int  # steps of the least-squares matches kept and of the descents in the norm
+    # of (str, float): stage and its measure after each step on the way here: ``"least squares"``
+    # (length of the error over the grid, relative to that of G_c), ``"minimax"`` (relative H∞ norm,
+    # after each tightening of its smooth bound)
     history: tuple
+    # what is left of the search, and where that counts as none: ``predicted_decrease`` in the mean
+    # square; how far the smooth bound lies above the H∞ norm, relative to it
     left: float
     tolerance: float
+    # (k,): of the sensitivity of the response, its columns scaled to length one
     singular_values: np.ndarray
+    # of str: parameters in the null space of the sensitivity: this response does not determine them
+    # (only some combinations), and they stay near where they started
     unidentified: tuple
 
 

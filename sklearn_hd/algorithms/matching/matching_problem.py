@@ -76,39 +76,20 @@ def matching_grid(poles):
 
 @dataclass(frozen=True, eq=False)
 class MatchingProblem:
-    """One model, one structure, one weighted norm.
+    """One model, one structure, one weighted norm."""
 
-    Attributes
-    ----------
-    model : AffineStructure
-        G_c, as a structure without parameters.
-    structure : AffineStructure
-        G_s(θ).
-    outputs, inputs : ndarray, shapes (l,), (m,)
-        Diagonals of the criterion's W_o / ``unit`` and W_i.
-    unit : float
-        ‖W_o G_c W_i‖_∞ with the weights as they were given.
-    grid : ndarray, shape (n_points,)
-        rad/s.
-    output_scales, input_scales : ndarray, shapes (l,), (m,)
-        The same of the least squares; G_c has length 1 in them on the imaginary axis.
-    lower, upper : ndarray, shape (k,)
-        Bounds of θ; infinite where there are none.
-    speed_limit : float
-        rad/s; G_s with faster poles counts as unstable.
-    """
-
-    model: AffineStructure
-    structure: AffineStructure
-    outputs: np.ndarray
-    inputs: np.ndarray
-    unit: float
-    grid: np.ndarray
+    model: AffineStructure  # g_c, as a structure without parameters
+    structure: AffineStructure  # g_s(θ)
+    outputs: np.ndarray  # (l,): diagonals of the criterion's W_o / ``unit`` and W_i
+    inputs: np.ndarray  # (m,)
+    unit: float  # ‖W_o G_c W_i‖_∞ with the weights as they were given
+    grid: np.ndarray  # (n_points,): rad/s
+    # (l,): the same of the least squares; G_c has length 1 in them on the imaginary axis
     output_scales: np.ndarray
-    input_scales: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    speed_limit: float = np.inf
+    input_scales: np.ndarray  # (m,)
+    lower: np.ndarray  # (k,): bounds of θ; infinite where there are none
+    upper: np.ndarray  # (k,)
+    speed_limit: float = np.inf  # rad/s; G_s with faster poles counts as unstable
 
     @classmethod
     def build(cls, A, B, C, D, structure, weights=(None, None), bounds=None, emphasis=None):

@@ -204,50 +204,26 @@ def _level(sizes, mu):
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """First-order conditions of a least H∞ norm.
+    """First-order conditions of a least H∞ norm."""
 
-    Attributes
-    ----------
-    frequencies : ndarray, shape (n_active,)
-        rad/s, of the peaks that hold the norm where it is.
-    errors : ndarray, shape (n_active,)
-        σ_max(E) there.
-    weights : ndarray, shape (n_active,)
-        Of their gradients in the convex combination nearest to zero; they sum to 1.
-    predicted_decrease : float
-        Upper bound of the decrease, relative to the norm, that the linearised response allows
-        within one move of it as long as the residual. 0 at a stationary point.
-    """
-
-    frequencies: np.ndarray
-    errors: np.ndarray
+    frequencies: np.ndarray  # (n_active,): rad/s, of the peaks that hold the norm where it is
+    errors: np.ndarray  # (n_active,): σ_max(E) there
+    # (n_active,): of their gradients in the convex combination nearest to zero; they sum to 1
     weights: np.ndarray
+    # upper bound of the decrease, relative to the norm, that the linearised response allows within
+    # one move of it as long as the residual. 0 at a stationary point.
     predicted_decrease: float
 
 
 @dataclass(frozen=True, eq=False)
 class SmoothDescent:
-    """Where :func:`smooth_descent` ended.
+    """Where :func:`smooth_descent` ended."""
 
-    Attributes
-    ----------
-    theta : ndarray, shape (k,)
-        The point of least norm among the ends of the rounds with one μ.
-    history : tuple of float
-        Norms that were the least so far, the start first.
-    ratio : float
-        t over the norm in the last round.
-    certificate : Certificate or None
-        None where there was nothing to descend.
-    n_iter : int
-        Newton steps.
-    """
-
-    theta: np.ndarray
-    history: tuple
-    ratio: float
-    certificate: Certificate | None = None
-    n_iter: int = 0
+    theta: np.ndarray  # (k,): the point of least norm among the ends of the rounds with one μ
+    history: tuple  # of float: norms that were the least so far, the start first
+    ratio: float  # t over the norm in the last round
+    certificate: Certificate | None = None  # None where there was nothing to descend
+    n_iter: int = 0  # Newton steps
 
     @property
     def value(self):

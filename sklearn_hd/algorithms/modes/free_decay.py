@@ -48,29 +48,19 @@ LEAST_GONE = 0.05  # of a mode's motion, to tell what the rest of it leads to
 
 @dataclass(frozen=True, eq=False)
 class FreeDecay:
-    """The modes that free decays show.
+    """The modes that free decays show."""
 
-    Attributes
-    ----------
-    Phi : ndarray, shape (n, n)
-        In the coordinates that outputs of a period have in the n directions they move in.
-    states : list of ndarray, shapes (n_periods_s, n)
-    multipliers : complex ndarray, shape (n,)
-    deviations : ndarray, shape (n,)
-        Standard deviations of their logarithms. What they change by as the motion becomes smaller
-        counts, too: without the first period of each decay (all of it where more than noise is
-        left, else what is beyond the errors of the rest), and of slow modes until it is gone.
-    turned : float
-        A negative multiplier that was turned back, 0 if none was.
-    beside : complex ndarray
-        Multipliers of other motions in the decays, which are not the machine's own modes.
-    """
-
+    # (n, n): in the coordinates that outputs of a period have in the n directions they move in
     Phi: np.ndarray
-    states: list
-    multipliers: np.ndarray
+    states: list  # (n_periods_s, n)
+    multipliers: np.ndarray  # complex, (n,)
+    # (n,): standard deviations of their logarithms. What they change by as the motion becomes
+    # smaller counts, too: without the first period of each decay (all of it where more than noise
+    # is left, else what is beyond the errors of the rest), and of slow modes until it is gone.
     deviations: np.ndarray
-    turned: float = 0.0
+    turned: float = 0.0  # a negative multiplier that was turned back, 0 if none was
+    # complex ndarray: multipliers of other motions in the decays, which are not the machine's own
+    # modes
     beside: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=complex))
 
     def spread(self, n_deviations):

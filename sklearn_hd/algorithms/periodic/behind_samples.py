@@ -110,23 +110,13 @@ class ContinuousModel:
 
 @dataclass(frozen=True, eq=False)
 class Turn:
-    """A turn of a discrete periodic model in Floquet form.
+    """A turn of a discrete periodic model in Floquet form."""
 
-    Attributes
-    ----------
-    psi : ndarray, shape (q,)
-    omega : float
-    shapes : FloquetShapes
-        Of the outputs, then of the discrete states.
-    B : ndarray, shape (q, n, m)
-    D : ndarray, shape (2 K + 1, l, m)
-    """
-
-    psi: np.ndarray
+    psi: np.ndarray  # (q,)
     omega: float
-    shapes: FloquetShapes
-    B: np.ndarray
-    D: np.ndarray
+    shapes: FloquetShapes  # of the outputs, then of the discrete states
+    B: np.ndarray  # (q, n, m)
+    D: np.ndarray  # (2 K + 1, l, m)
 
     @property
     def n_outputs(self):

@@ -27,32 +27,20 @@ RATIOS = 2.0 ** np.arange(-104, 11)  # of variances, from rounding to nothing bu
 
 @dataclass(frozen=True, eq=False)
 class CombinedPeriods:
-    """Combinations of the periods of one segment.
+    """Combinations of the periods of one segment."""
 
-    Attributes
-    ----------
-    directions : ndarray, shape (r, n_phases, m)
-        That inputs move in within a period.
-    mix : ndarray, shape (d, r)
-        Inputs of each combination in these directions.
-    answers : ndarray, shape (d, r, n, n)
-        First state of each combination for each state that a period in one direction leaves.
-    starts : ndarray, shape (d, n, s)
-        First state of each combination for each unknown of the initial state.
-    outputs : ndarray, shape (n_phases, l, d)
-    seen : ndarray of bool, shape (n_phases, d)
-        What of the combinations was measured; a segment's last period may be cut short.
-    first_phase : int
-        Of the first sample of each period.
-    """
-
-    directions: np.ndarray
-    mix: np.ndarray
+    directions: np.ndarray  # (r, n_phases, m): that inputs move in within a period
+    mix: np.ndarray  # (d, r): inputs of each combination in these directions
+    # (d, r, n, n): first state of each combination for each state that a period in one direction
+    # leaves
     answers: np.ndarray
+    # (d, n, s): first state of each combination for each unknown of the initial state
     starts: np.ndarray
-    outputs: np.ndarray
+    outputs: np.ndarray  # (n_phases, l, d)
+    # bool, (n_phases, d): what of the combinations was measured; a segment's last period may be cut
+    # short
     seen: np.ndarray
-    first_phase: int = 0
+    first_phase: int = 0  # of the first sample of each period
 
     def columns(self, response, gains, direct, scale):
         """Outputs by the parameters and by the initial state, in parts of their scale.

@@ -26,24 +26,13 @@ SWING = np.array([np.zeros((2, 2)), [[1.0, 0.0], [0.0, -1.0]], [[0.0, 1.0], [1.0
 
 @dataclass(frozen=True, eq=False)
 class FloquetForm:
-    """F(ψ) of a system in Floquet coordinates, by what it may be.
+    """F(ψ) of a system in Floquet coordinates, by what it may be."""
 
-    Attributes
-    ----------
-    constant : ndarray, shape (3, n, n)
-        Fourier coefficients of F with all exponents zero, in the order 0, 1c, 1s.
-    directions : dict of str to ndarray, shapes (3, n, n)
-        What one unit of each parameter adds.
-    values : ndarray, shape (n,)
-        The parameters.
-    columns : tuple of (str, int)
-        Kind of each mode or pair of modes, and its first coordinate.
-    """
-
+    # (3, n, n): Fourier coefficients of F with all exponents zero, in the order 0, 1c, 1s
     constant: np.ndarray
-    directions: dict
-    values: np.ndarray
-    columns: tuple
+    directions: dict  # (3, n, n): what one unit of each parameter adds
+    values: np.ndarray  # (n,): the parameters
+    columns: tuple  # of (str, int): kind of each mode or pair of modes, and its first coordinate
 
     @property
     def n_harmonics(self):

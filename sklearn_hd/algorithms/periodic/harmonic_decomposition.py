@@ -333,38 +333,25 @@ def base_families(mean, exponents, omega):
 
 @dataclass(frozen=True, eq=False)
 class ModesKept:
-    """Some modes of a harmonic decomposition, split off from the others.
+    """Some modes of a harmonic decomposition, split off from the others."""
 
-    Attributes
-    ----------
-    A, B, C, D : ndarray
-        From u_0 to the harmonics of y kept; D has the steady response of all other modes.
-    states : ndarray, shape (n, n_kept)
-        Harmonic 0 of the states by those of A.
-    eigenvalues : complex ndarray, shape (n_kept,)
-        Of A.
-    reach : ndarray, shape (n_kept, m, 2 K + 1)
-        Size of the effect of each input's harmonic −k (complex) on each mode, k from −K to K: what
-        u_0 has on its copy k.
-    shown : ndarray, shape (n_kept, l, 2 K + 1)
-        Size of each mode in each output's harmonic k: what its copy k has in y_0.
-    error : float
-        Largest distance of an eigenvalue from the one that was asked for, rad/s.
-    loss : float
-        What replacing the others by their steady response leaves, as a share of the response of an
-        output and its harmonics to an input: rms over frequencies up to ω/2 or the fastest mode
-        wanted, of the worst pair.
-    """
-
+    # from u_0 to the harmonics of y kept; D has the steady response of all other modes
     A: np.ndarray
     B: np.ndarray
     C: np.ndarray
     D: np.ndarray
-    states: np.ndarray
-    eigenvalues: np.ndarray
+    states: np.ndarray  # (n, n_kept): harmonic 0 of the states by those of A
+    eigenvalues: np.ndarray  # complex, (n_kept,): of A
+    # (n_kept, m, 2 K + 1): size of the effect of each input's harmonic −k (complex) on each mode, k
+    # from −K to K: what u_0 has on its copy k
     reach: np.ndarray
+    # (n_kept, l, 2 K + 1): size of each mode in each output's harmonic k: what its copy k has in
+    # y_0
     shown: np.ndarray
-    error: float
+    error: float  # largest distance of an eigenvalue from the one that was asked for, rad/s
+    # what replacing the others by their steady response leaves, as a share of the response of an
+    # output and its harmonics to an input: rms over frequencies up to ω/2 or the fastest mode
+    # wanted, of the worst pair
     loss: float
 
 

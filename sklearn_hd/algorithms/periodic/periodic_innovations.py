@@ -26,27 +26,14 @@ MOST_TURNS = 40  # over which the Riccati equation is stepped, where it does not
 
 @dataclass(frozen=True, eq=False)
 class PeriodicInnovations:
-    """A discrete periodic innovations model by its Fourier coefficients.
+    """A discrete periodic innovations model by its Fourier coefficients."""
 
-    Attributes
-    ----------
-    coefficients : ndarray, shape (2 H + 1, n + l, n + m + 1)
-        Of [A B a; C D c](ψ), in the order 0, 1c, 1s, ….
-    gain : ndarray, shape (2 H + 1, n, l)
-        Of K(ψ).
-    covariance : ndarray, shape (l, l)
-        Of the innovations.
-    step : float
-        δ, radians from sample to sample.
-    start : float
-        ψ of a sample that the model was made from.
-    """
-
+    # (2 H + 1, n + l, n + m + 1): of [A B a; C D c](ψ), in the order 0, 1c, 1s, …
     coefficients: np.ndarray
-    gain: np.ndarray
-    covariance: np.ndarray
-    step: float
-    start: float = 0.0
+    gain: np.ndarray  # (2 H + 1, n, l): of K(ψ)
+    covariance: np.ndarray  # (l, l): of the innovations
+    step: float  # δ, radians from sample to sample
+    start: float = 0.0  # ψ of a sample that the model was made from
 
     @property
     def n_states(self):
@@ -322,20 +309,11 @@ def _power(steps, exponent):
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """A periodic innovations model at the samples of one segment.
+    """A periodic innovations model at the samples of one segment."""
 
-    Attributes
-    ----------
-    states : ndarray, shape (n_samples, n, n + m + 1)
-        [A B a].
-    outputs : ndarray, shape (n_samples, l, n + m + 1)
-        [C D c].
-    gain : ndarray, shape (n_samples, n, l)
-    """
-
-    states: np.ndarray
-    outputs: np.ndarray
-    gain: np.ndarray
+    states: np.ndarray  # (n_samples, n, n + m + 1): [A B a]
+    outputs: np.ndarray  # (n_samples, l, n + m + 1): [C D c]
+    gain: np.ndarray  # (n_samples, n, l)
 
     @property
     def n_states(self):
@@ -466,26 +444,14 @@ def _with_one(inputs):
 
 @dataclass(frozen=True, eq=False)
 class AtSamples:
-    """A model at the samples of one segment, and what of it was fitted.
-
-    Attributes
-    ----------
-    rows : Rows
-    inputs : ndarray, shape (n_samples, m)
-    feedthrough, predicts : bool
-        Whether it has D, and a Kalman gain.
-    n_harmonics : int
-        Of its matrices.
-    n_loads : int
-        Of its forced response; −1 where there is none, not even a mean.
-    """
+    """A model at the samples of one segment, and what of it was fitted."""
 
     rows: Rows
-    inputs: np.ndarray
-    feedthrough: bool
+    inputs: np.ndarray  # (n_samples, m)
+    feedthrough: bool  # whether it has D, and a Kalman gain
     predicts: bool
-    n_harmonics: int
-    n_loads: int = -1
+    n_harmonics: int  # of its matrices
+    n_loads: int = -1  # of its forced response; −1 where there is none, not even a mean
 
     @classmethod
     def of(cls, A, B, C, D, K, inputs, n_harmonics):

@@ -45,26 +45,14 @@ RIDGES = np.concatenate([[0.0], 10.0 ** np.arange(-12.0, 0.5, 0.5)])  # of the l
 
 @dataclass(frozen=True)
 class Layout:
-    """Columns of the regression: lags, inputs of the same row, forced response.
-
-    Attributes
-    ----------
-    n_inputs, n_outputs : int
-    n_lags : int
-        p.
-    n_harmonics, n_input_harmonics : int
-        Highest harmonic of what multiplies outputs, and of what multiplies inputs.
-    n_loads : int
-        Highest harmonic of c̄.
-    feedthrough : bool
-    """
+    """Columns of the regression: lags, inputs of the same row, forced response."""
 
     n_inputs: int
     n_outputs: int
-    n_lags: int
-    n_harmonics: int
+    n_lags: int  # p
+    n_harmonics: int  # highest harmonic of what multiplies outputs, and of what multiplies inputs
     n_input_harmonics: int
-    n_loads: int
+    n_loads: int  # highest harmonic of c̄
     feedthrough: bool
 
     @property
@@ -178,21 +166,12 @@ def spread_rows(lengths, most, n_places=8):
 
 @dataclass(frozen=True, eq=False)
 class LagSums:
-    """Sums of squares and products of one regression, from which smaller ones are read.
-
-    Attributes
-    ----------
-    layout : Layout
-    gram : ndarray, shape (d, d)
-    products : ndarray, shape (d, l)
-    squares : ndarray, shape (l, l)
-    n_rows : int
-    """
+    """Sums of squares and products of one regression, from which smaller ones are read."""
 
     layout: Layout
-    gram: np.ndarray
-    products: np.ndarray
-    squares: np.ndarray
+    gram: np.ndarray  # (d, d)
+    products: np.ndarray  # (d, l)
+    squares: np.ndarray  # (l, l)
     n_rows: int
 
     @classmethod
@@ -292,28 +271,16 @@ class LagSums:
 
 @dataclass(frozen=True, eq=False)
 class Predictor:
-    """Coefficients of the regression, by function 1, cos ψ, sin ψ, ….
-
-    Attributes
-    ----------
-    layout : Layout
-    coefficients : ndarray, shape (d, l)
-        Of all regressors; the others are parts of it.
-    loads : ndarray, shape (2 L + 1, l)
-    D : ndarray, shape (q, m, l)
-    lags : ndarray, shape (p, q, m + l, l)
-    covariance : ndarray, shape (l, l)
-        Of what the regression leaves, if lagged outputs have SENSOR_NOISE.
-    left : ndarray, shape (l,)
-        Variance that it leaves of the outputs as measured; not below zero but for rounding.
-    """
+    """Coefficients of the regression, by function 1, cos ψ, sin ψ, …."""
 
     layout: Layout
-    coefficients: np.ndarray
-    loads: np.ndarray
-    D: np.ndarray
-    lags: np.ndarray
+    coefficients: np.ndarray  # (d, l): of all regressors; the others are parts of it
+    loads: np.ndarray  # (2 L + 1, l)
+    D: np.ndarray  # (q, m, l)
+    lags: np.ndarray  # (p, q, m + l, l)
+    # (l, l): of what the regression leaves, if lagged outputs have SENSOR_NOISE
     covariance: np.ndarray
+    # (l,): variance that it leaves of the outputs as measured; not below zero but for rounding
     left: np.ndarray
 
 
@@ -383,24 +350,13 @@ class StateSums:
 
     Regressors, each with functions 1, cos ψ, …: the forced response, inputs, innovations, states.
     Those of few harmonics are part of them.
-
-    Attributes
-    ----------
-    gram : ndarray, shape (d, d)
-        Of all regressors.
-    outputs : ndarray, shape (d, l)
-        Their products with what the outputs are without innovations.
-    following : ndarray, shape (d, n)
-        Their products with the next states.
-    kinds : ndarray of int, shape (3, d)
-        Of each regressor: what it is (0 forced, 1 input, 2 innovation, 3 state), which, and its
-        function.
-    n_rows : int
     """
 
-    gram: np.ndarray
-    outputs: np.ndarray
-    following: np.ndarray
+    gram: np.ndarray  # (d, d): of all regressors
+    outputs: np.ndarray  # (d, l): their products with what the outputs are without innovations
+    following: np.ndarray  # (d, n): their products with the next states
+    # int, (3, d): of each regressor: what it is (0 forced, 1 input, 2 innovation, 3 state), which,
+    # and its function
     kinds: np.ndarray
     n_rows: int
 

@@ -181,24 +181,14 @@ class FloquetShapes:
 
     Of 1, cos ψ, sin ψ, … where shapes repeat; of cos ψ/2, sin ψ/2, cos 3ψ/2, … where they
     change sign from one period to the next.
-
-    Attributes
-    ----------
-    R : ndarray, shape (n, n)
-        1/s; the free response is y = P(ψ) e^{Rt} q.
-    flips : ndarray of bool, shape (n,)
-    coefficients : ndarray, shape (n, n_orders, 2, l)
-        Of the cosine and the sine of each order, by state.
-    n_harmonics : int
-    noise : float
-        Standard deviation of what the shapes were fitted to, in parts of its size.
     """
 
-    R: np.ndarray
-    flips: np.ndarray
+    R: np.ndarray  # (n, n): 1/s; the free response is y = P(ψ) e^{Rt} q
+    flips: np.ndarray  # bool, (n,)
+    # (n, n_orders, 2, l): of the cosine and the sine of each order, by state
     coefficients: np.ndarray
     n_harmonics: int
-    noise: float = 0.0
+    noise: float = 0.0  # standard deviation of what the shapes were fitted to, in parts of its size
 
     def __call__(self, psi):
         """P(ψ) and dP/dψ, shapes (n_points, l, n)."""

@@ -185,30 +185,17 @@ class SampledResponse:
     """One period of a sampled periodic system, and its derivatives.
 
     x[k+1] = Ψ[k mod p] [x[k]; u[k]],   y[k] = Out[k mod q] [x[k]; u[k]]
-
-    Attributes
-    ----------
-    Psi : ndarray, shape (p, n, n + m)
-        p is 1 if F and G are constant, n_phases otherwise.
-    Out : ndarray, shape (q, l', n + m)
-        q is 1 if P, Q and what is measured of them are constant, n_phases otherwise.
-    dPsi : ndarray, shape (k, p, n, n + m), or None
-    dOut : ndarray, shape (k, q, l', n + m), or None
-    gain : ndarray, shape (p or 1, n, l'), or None
-        K of the innovations form; None for a simulation.
-    n_gain_harmonics : int or None
-        Of K; None where it is known.
-    n_phases : float
-        Samples a period.
     """
 
-    Psi: np.ndarray
+    Psi: np.ndarray  # (p, n, n + m): p is 1 if F and G are constant, n_phases otherwise
+    # (q, l', n + m): q is 1 if P, Q and what is measured of them are constant, n_phases otherwise
     Out: np.ndarray
-    dPsi: np.ndarray | None = None
-    dOut: np.ndarray | None = None
+    dPsi: np.ndarray | None = None  # (k, p, n, n + m)
+    dOut: np.ndarray | None = None  # (k, q, l', n + m)
+    # (p or 1, n, l'): K of the innovations form; None for a simulation
     gain: np.ndarray | None = None
-    n_gain_harmonics: int | None = None
-    n_phases: float = 1.0
+    n_gain_harmonics: int | None = None  # of K; None where it is known
+    n_phases: float = 1.0  # samples a period
 
     @property
     def n_gains(self):

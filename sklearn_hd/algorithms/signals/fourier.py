@@ -399,20 +399,13 @@ def input_directions(lifted, most=None):
 
 @dataclass(frozen=True, eq=False)
 class InputDirections:
-    """What inputs moved in: combinations of their samples within a row.
+    """What inputs moved in: combinations of their samples within a row."""
 
-    Attributes
-    ----------
-    middle, size : ndarray, shape (m,)
-        Constant of each input that is no motion, and the root mean square about it; one where that
-        is zero.
-    moved : ndarray, shape (n_phases m, r)
-        Orthonormal, of inputs in parts of their size.
-    """
-
+    # (m,): constant of each input that is no motion, and the root mean square about it; one where
+    # that is zero
     middle: np.ndarray
-    size: np.ndarray
-    moved: np.ndarray
+    size: np.ndarray  # (m,)
+    moved: np.ndarray  # (n_phases m, r): orthonormal, of inputs in parts of their size
 
     @classmethod
     def of(cls, lifted, left_out=0.0, about_mean=False):

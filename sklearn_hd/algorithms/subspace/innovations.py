@@ -29,19 +29,13 @@ WHITE = (0.0, 1e-12, 1e-10, 1e-8)  # more noise of the outputs, where theirs is 
 
 @dataclass(frozen=True, eq=False)
 class InnovationForm:
-    """A discrete-time model and its Kalman gain.
+    """A discrete-time model and its Kalman gain."""
 
-    Attributes
-    ----------
-    A, B, C, D : ndarray, shapes (n, n), (n, m), (l, n), (l, m)
-    K : ndarray, shape (n, l)
-    """
-
-    A: np.ndarray
-    B: np.ndarray
-    C: np.ndarray
-    D: np.ndarray
-    K: np.ndarray
+    A: np.ndarray  # (n, n)
+    B: np.ndarray  # (n, m)
+    C: np.ndarray  # (l, n)
+    D: np.ndarray  # (l, m)
+    K: np.ndarray  # (n, l)
 
     def states(self, inputs, outputs, x0):
         """x̂ of every row, from the outputs of the rows before it.

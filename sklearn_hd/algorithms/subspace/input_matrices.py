@@ -204,18 +204,11 @@ def _product_factor(normal, u, y, feedthrough, scales):
 
 @dataclass(frozen=True)
 class _InitialState:
-    """Equations of a record's initial state once B and D are known.
+    """Equations of a record's initial state once B and D are known."""
 
-    Attributes
-    ----------
-    inverse : ndarray, shape (n, r)
-    coupling : ndarray, shape (r, n_shared)
-    right : ndarray, shape (r,)
-    """
-
-    inverse: np.ndarray
-    coupling: np.ndarray
-    right: np.ndarray
+    inverse: np.ndarray  # (n, r)
+    coupling: np.ndarray  # (r, n_shared)
+    right: np.ndarray  # (r,)
 
     def solve(self, theta):
         """The initial state beside some B and D."""

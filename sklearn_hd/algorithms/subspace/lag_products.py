@@ -65,28 +65,17 @@ BLOCK_BYTES = 2**19  # of products at a time
 
 @dataclass(frozen=True)
 class LagProducts:
-    """Summed lag products of whole records.
+    """Summed lag products of whole records."""
 
-    Attributes
-    ----------
-    lags : Pair, shape (n_lags, p, p)
-        T[b], of channels divided by 2 to the power of ``exponents``.
-    head, tail : ndarray, shape (n_records, (n_lags - 1) p)
-        The first, and the last, n_lags − 1 rows of each record side by side, as they were
-        multiplied.
-    exponents : ndarray of int, shape (p,)
-    n_rows : int
-        Of the records summed.
-    short : tuple of ndarray, shapes (n_rows_s, p)
-        Records of fewer rows than lags, as they are.
-    """
-
+    # Pair, shape (n_lags, p, p): t[b], of channels divided by 2 to the power of ``exponents``
     lags: Pair
+    # (n_records, (n_lags - 1) p): the first, and the last, n_lags − 1 rows of each record side by
+    # side, as they were multiplied
     head: np.ndarray
-    tail: np.ndarray
-    exponents: np.ndarray
-    n_rows: int
-    short: tuple = ()
+    tail: np.ndarray  # (n_records, (n_lags - 1) p)
+    exponents: np.ndarray  # int, (p,)
+    n_rows: int  # of the records summed
+    short: tuple = ()  # (n_rows_s, p): records of fewer rows than lags, as they are
 
     @property
     def exact(self):

@@ -77,31 +77,15 @@ def order_by_wide_gap(singular_values, floor, max_order):
 
 @dataclass(frozen=True)
 class Simulated:
-    """What the simulation of a model leaves of a record.
-
-    Attributes
-    ----------
-    order : int
-    feedthrough : bool
-        Whether D is free.
-    stable : bool
-        Whether no mode grows e-fold over the longest segment.
-    share : float
-        Of the outputs, root mean square, that is left.
-    variance : float
-        Geometric mean of the shares of the outputs' variances that are left.
-    bic : float
-    n_harmonics : int
-        Of the coefficients of a periodic model.
-    """
+    """What the simulation of a model leaves of a record."""
 
     order: int
-    feedthrough: bool
-    stable: bool
-    share: float
-    variance: float
+    feedthrough: bool  # whether D is free
+    stable: bool  # whether no mode grows e-fold over the longest segment
+    share: float  # of the outputs, root mean square, that is left
+    variance: float  # geometric mean of the shares of the outputs' variances that are left
     bic: float
-    n_harmonics: int = 0
+    n_harmonics: int = 0  # of the coefficients of a periodic model
 
 
 class Comparison:

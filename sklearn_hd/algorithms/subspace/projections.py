@@ -118,28 +118,17 @@ def state_matrices(U, singular_values, order, n_outputs, stable=False):
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """Weighted future outputs, decomposed.
+    """Weighted future outputs, decomposed."""
 
-    Attributes
-    ----------
-    R : ndarray, shape (2 i (m + l), 2 i (m + l))
-        From :func:`~sklearn_hd.algorithms.subspace.hankel.hankel_factor`.
-    block_rows, n_inputs, n_columns : int
-        i, m, and the Hankel columns behind R.
-    directions : ndarray, shape (i l, i l)
-        Γ of order n is the first n of them, times the roots of their singular values.
-    singular_values : ndarray, shape (i l,)
-    floor : float
-        Largest singular value that rounding or white noise would give.
-    """
-
+    # (2 i (m + l), 2 i (m + l)): from :func:`~sklearn_hd.algorithms.subspace.hankel.hankel_factor`
     R: np.ndarray
-    block_rows: int
+    block_rows: int  # i, m, and the Hankel columns behind R
     n_inputs: int
     n_columns: int
+    # (i l, i l): Γ of order n is the first n of them, times the roots of their singular values
     directions: np.ndarray
-    singular_values: np.ndarray
-    floor: float
+    singular_values: np.ndarray  # (i l,)
+    floor: float  # largest singular value that rounding or white noise would give
 
     @classmethod
     def of(cls, R, block_rows, n_inputs, n_columns, weighting):
@@ -238,37 +227,18 @@ def _upright(directions):
 
 @dataclass(frozen=True, eq=False)
 class PredictorSubspace:
-    """States that the coefficients of a long predictor make of the past.
+    """States that the coefficients of a long predictor make of the past."""
 
-    Attributes
-    ----------
-    past : ndarray, shape (r, i (m + l))
-        Data of the rows k − 1, k − 2, … before row k, in coordinates of R's rows.
-    later : ndarray, shape (r, i (m + l))
-        The same one row later.
-    inputs, outputs : ndarray, shapes (r, m), (r, l)
-        At row k.
-    coefficients : ndarray, shape (i l, i (m + l))
-        Γ̃ 𝒦.
-    directions : ndarray, shape (i l, i l)
-        U.
-    singular_values : ndarray, shape (i l,)
-    floor : float
-        Largest singular value that rounding or white noise would give.
-    feedthrough : bool
-        Whether D is free.
-    n_columns : int
-    """
-
+    # (r, i (m + l)): data of the rows k − 1, k − 2, … before row k, in coordinates of R's rows
     past: np.ndarray
-    later: np.ndarray
-    inputs: np.ndarray
-    outputs: np.ndarray
-    coefficients: np.ndarray
-    directions: np.ndarray
-    singular_values: np.ndarray
-    floor: float
-    feedthrough: bool
+    later: np.ndarray  # (r, i (m + l)): the same one row later
+    inputs: np.ndarray  # (r, m): at row k
+    outputs: np.ndarray  # (r, l)
+    coefficients: np.ndarray  # (i l, i (m + l)): Γ̃ 𝒦
+    directions: np.ndarray  # (i l, i l): u
+    singular_values: np.ndarray  # (i l,)
+    floor: float  # largest singular value that rounding or white noise would give
+    feedthrough: bool  # whether D is free
     n_columns: int
 
     @classmethod

@@ -48,19 +48,11 @@ PULSE_OVER = 1e-18  # of a response to a pulse: nothing beside rounding
 
 @dataclass(frozen=True)
 class ResponseBasis:
-    """Recursion of the numbers w that responses are made of, and what they stand for.
+    """Recursion of the numbers w that responses are made of, and what they stand for."""
 
-    Attributes
-    ----------
-    F : ndarray, shape (q, q)
-    g : ndarray, shape (q,)
-    units : ndarray, shape (q, n, n)
-        The matrix N_s that each w belongs to.
-    """
-
-    F: np.ndarray
-    g: np.ndarray
-    units: np.ndarray
+    F: np.ndarray  # (q, q)
+    g: np.ndarray  # (q,)
+    units: np.ndarray  # (q, n, n): the matrix N_s that each w belongs to
 
     def powers(self, last):
         """F⁰ … F^last, shape (last + 1, q, q)."""
@@ -173,24 +165,13 @@ def _advance(F, states):
 
 @dataclass(frozen=True)
 class OutputNormal:
-    """A model in coordinates T x, in which its observability Gramian is the identity.
+    """A model in coordinates T x, in which its observability Gramian is the identity."""
 
-    Attributes
-    ----------
-    A, C : ndarray, shapes (n, n), (l, n)
-    T : ndarray, shape (n, n)
-        Upper triangular.
-    basis : ResponseBasis
-        Of A.
-    error : float
-        By which A'A + C'C is off the identity, as it grows over the memory of A.
-    """
-
-    A: np.ndarray
-    C: np.ndarray
-    T: np.ndarray
-    basis: object
-    error: float
+    A: np.ndarray  # (n, n)
+    C: np.ndarray  # (l, n)
+    T: np.ndarray  # (n, n): upper triangular
+    basis: object  # ResponseBasis: of A
+    error: float  # by which A'A + C'C is off the identity, as it grows over the memory of A
 
 
 def alike_states(A, C):
@@ -253,28 +234,13 @@ def output_normal(A, C):
 
 @dataclass(frozen=True)
 class ResponseProducts:
-    """What normal equations need of a record with m inputs and p signals, inputs first.
+    """What normal equations need of a record with m inputs and p signals, inputs first."""
 
-    Attributes
-    ----------
-    forced : ndarray, shape (m, q, p)
-        Σ_k w_k z_k, w those of the response to an input.
-    free : ndarray, shape (q, p)
-        Σ_k w_k z_k, w those of a pulse before the record.
-    last : ndarray, shape (m, q)
-        w_N of the responses to inputs.
-    inputs : ndarray, shape (m, p)
-        Σ_k u_k z_k'.
-    outputs : float
-        Σ_k y_k' y_k.
-    n_samples : int
-    """
-
-    forced: np.ndarray
-    free: np.ndarray
-    last: np.ndarray
-    inputs: np.ndarray
-    outputs: float
+    forced: np.ndarray  # (m, q, p): Σ_k w_k z_k, w those of the response to an input
+    free: np.ndarray  # (q, p): Σ_k w_k z_k, w those of a pulse before the record
+    last: np.ndarray  # (m, q): w_N of the responses to inputs
+    inputs: np.ndarray  # (m, p): Σ_k u_k z_k'
+    outputs: float  # Σ_k y_k' y_k
     n_samples: int
 
 

@@ -67,19 +67,10 @@ FIRST_ROWS = 256  # that a slow model's initial state is found from
 
 @dataclass(frozen=True)
 class RecordEnds:
-    """The first and last rows of a record.
+    """The first and last rows of a record."""
 
-    Attributes
-    ----------
-    head : ndarray, shape (min(n_rows, K), p)
-        Of inputs and outputs.
-    tail : ndarray, shape (min(n_rows, K), m)
-        Of inputs.
-    n_rows : int
-    """
-
-    head: np.ndarray
-    tail: np.ndarray
+    head: np.ndarray  # (min(n_rows, K), p): of inputs and outputs
+    tail: np.ndarray  # (min(n_rows, K), m): of inputs
     n_rows: int
 
     def faded(self, shift):
@@ -89,24 +80,12 @@ class RecordEnds:
 
 @dataclass(frozen=True)
 class Sums:
-    """Sums over whole records.
+    """Sums over whole records."""
 
-    Attributes
-    ----------
-    products : LagProducts or None
-        Of all channels.
-    lags : ndarray, shape (K + 1, m, p)
-        T[d], of inputs with inputs and outputs.
-    squares : ndarray, shape (l,)
-        Of the outputs.
-    ends : tuple of RecordEnds
-        Of each record.
-    """
-
-    products: LagProducts | None
-    lags: np.ndarray
-    squares: np.ndarray
-    ends: tuple
+    products: LagProducts | None  # of all channels
+    lags: np.ndarray  # (K + 1, m, p): t[d], of inputs with inputs and outputs
+    squares: np.ndarray  # (l,): of the outputs
+    ends: tuple  # of RecordEnds: of each record
 
     def of_inputs(self, which):
         """T and ends for some of the inputs, and all outputs."""
@@ -131,22 +110,12 @@ class Sums:
 
 @dataclass(frozen=True)
 class RowSums:
-    """Sums over consecutive rows of a record, that others may follow.
+    """Sums over consecutive rows of a record, that others may follow."""
 
-    Attributes
-    ----------
-    products : Stretch
-        Of all channels.
-    lags, squares
-        As of ``Sums``.
-    ends : RecordEnds
-        Of these rows.
-    """
-
-    products: Stretch
-    lags: np.ndarray
+    products: Stretch  # of all channels
+    lags: np.ndarray  # as of ``Sums``
     squares: np.ndarray
-    ends: RecordEnds
+    ends: RecordEnds  # of these rows
 
     def join(self, later):
         """These rows and those right after them, as one."""
@@ -356,15 +325,9 @@ def initial_states_of_heads(A, B, C, D, ends, scales, noise=(None, None)):
 
 @dataclass(frozen=True)
 class Forgetting:
-    """Weights of consecutive rows.
+    """Weights of consecutive rows."""
 
-    Attributes
-    ----------
-    half_life : float
-        h, in rows; infinite forgets nothing.
-    """
-
-    half_life: float = np.inf
+    half_life: float = np.inf  # h, in rows; infinite forgets nothing
 
     @property
     def growth(self):
