@@ -55,33 +55,18 @@ class GrowthError(ValueError):
 class Realization:
     """A periodic model in closed form, and how far it can be trusted.
 
-    Attributes
-    ----------
-    model : PeriodicModel
-    structure : PeriodicStructure
-        Whose parameters the model's coefficients are.
-    theta : ndarray
-    physical : bool
-        Whether the states are outputs, rather than Floquet coordinates.
-    r2 : float
-        Share of the raw record's variance that the model explains.
-    systematic : float
-        Share of it that stands unexplained and is no white noise: covariance of what is
-        left of neighbouring samples.
-    unidentified : tuple of str
-        Parameters of G and Q that the record does not determine.
-    without : float or None
-        What was systematic without Q, where the data asked for one.
+    ``systematic`` is the share of the raw record's variance that stands unexplained and is no
+    white noise: covariance of what is left of neighbouring samples.
     """
 
     model: PeriodicModel
-    structure: PeriodicStructure
+    structure: PeriodicStructure  # whose parameters the model's coefficients are
     theta: np.ndarray
-    physical: bool
-    r2: float
+    physical: bool  # states are outputs, rather than Floquet coordinates
+    r2: float  # share of the raw record's variance that the model explains
     systematic: float
-    unidentified: tuple
-    without: float | None = None
+    unidentified: tuple  # names of parameters of G and Q that the record does not determine
+    without: float | None = None  # what was systematic without Q, where the data asked for one
 
 
 @dataclass(frozen=True, eq=False)
