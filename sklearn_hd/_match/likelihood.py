@@ -340,17 +340,12 @@ def _free(start, data, settings):
     own = entries[: 2 * moved.n_harmonics + 1, :, :-1]
     structure = PeriodicStructure.all_free(own.shape, n, start.feedthrough)
     theta = structure.nearest(own)
-    places = _places(structure, found.coefficients.shape)
+    where = np.unravel_index(structure.basis.indices, structure.constant.shape)
+    places = np.ravel_multi_index(where, found.coefficients.shape)  # loads are among these
     into = found.slopes[:, places].T
     covariance = into @ found.result.covariance @ into.T
     result = replace(found.result, theta=theta, gain=found.gain, covariance=covariance)
     return Fit(structure, replace(form, structure=structure), result, data, into), sampled
-
-
-def _places(structure, shape):
-    """Where parameters stand among all coefficients, loads among them."""
-    entries = np.unravel_index(structure.basis.indices, structure.constant.shape)
-    return np.ravel_multi_index(entries, shape)
 
 
 def _as_samples(model):

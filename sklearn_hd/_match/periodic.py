@@ -197,8 +197,7 @@ def _in_closed_form(model, experiment, structure, scale, feedthrough=False):
             n_harmonics["P"] = None
         F, P = F * scale[rows][:, None] / scale[rows], P / scale[rows]
     P = P * scale[:, None]
-    for name in n_harmonics:
-        n_harmonics[name] = given(structure, name, n_harmonics[name])
+    n_harmonics = {name: given(structure, name, found) for name, found in n_harmonics.items()}
     free = {
         name: sampled_harmonics(values, n_harmonics[name] or 0)
         for name, values in (("F", F), ("P", P))

@@ -108,7 +108,9 @@ class RecordData:
         inputs = experiment.inputs if raw else experiment.drive
         omega, n_phases = sampling(experiment)
         if start is None:
-            observe = None if raw or not basis.harmonic else _observation(basis)
+            observe = None
+            if basis.harmonic and not raw:
+                observe = basis.recomposition(2.0 * np.pi * np.arange(n_phases) / n_phases)
             where = [int(basis.phase_index(time)[0]) for time in experiment.times()]
             n_loads = -1
         else:
@@ -355,9 +357,3 @@ def sampling(experiment):
     if not basis.harmonic:
         return 2.0 * np.pi / experiment.base.sample_time, 1
     return basis.omega, basis.samples_per_period
-
-
-def _observation(basis):
-    """What is measured of harmonic coefficients at each phase."""
-    spp = basis.samples_per_period
-    return basis.recomposition(2.0 * np.pi * np.arange(spp) / spp)

@@ -258,8 +258,8 @@ class HarmonicStructure(Structure):
             named, own = name_places(cells[name][label], name, rows, columns, f"_{label}")
             places |= own
             for i, j in np.ndindex(len(rows), len(columns)):
-                at, (number, terms) = (place_of(label), top + i, left + j), named[i][j]
-                constant[at] = number
+                at = place_of(label), top + i, left + j
+                constant[at], terms = named[i][j]
                 for parameter, scale in terms:
                     known[parameter] = True
                     if parameter in self._fixed:
