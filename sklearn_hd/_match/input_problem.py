@@ -156,9 +156,8 @@ class InputProblem:
             found = self._judged(fit, count, stiffness)
             if tried and found.n_unknown > tried[-1].n_unknown:
                 break
-            worse = (
-                0 if found.misfit < min((f.misfit for f in tried), default=np.inf) else worse + 1
-            )
+            least = min((each.misfit for each in tried), default=np.inf)
+            worse = 0 if found.misfit < least else worse + 1
             tried.append(found)
             if worse == PATIENCE:
                 break

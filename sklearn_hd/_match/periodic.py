@@ -22,7 +22,7 @@ from sklearn_hd._records.data import beside_trim, lifted_periods, output_scale, 
 from sklearn_hd._residuals import why_incomplete
 from sklearn_hd._simulators import sample_simulators
 from sklearn_hd.algorithms.likelihood.small_motions import AS_LITTLE
-from sklearn_hd.algorithms.lti.simulation import GROWN, propagate
+from sklearn_hd.algorithms.lti.simulation import GROWN, growth, propagate
 from sklearn_hd.algorithms.modes.free_decay import offsets, periods_at_rest
 from sklearn_hd.algorithms.periodic.behind_samples import FINER
 from sklearn_hd.algorithms.periodic.floquet_coordinates import floquet_coordinates
@@ -309,11 +309,10 @@ def predictor_states(model, experiment):
 def _simulated(model, C, inputs, directions, lifted, seen):
     """What every sample of the period sees of the states, and the rows left for noise."""
     Phi, n = model.A, model.n_states
-    radius = max(np.max(np.abs(linalg.eigvals(Phi))), np.finfo(float).tiny)
-    growth = max(map(len, lifted)) * np.log(radius)
-    if growth > MAX_GROWTH:
+    folds = max(map(len, lifted)) * growth(Phi)
+    if folds > MAX_GROWTH:
         raise GrowthError(
-            f"a mode of the identified model grows e^{growth:.0f} times over the record, more than "
+            f"a mode of the identified model grows e^{folds:.0f} times over the record, more than "
             f"a record can show: lower the order, check omega, or use a shorter record"
         )
     if model.at_rest:

@@ -18,6 +18,7 @@ from sklearn_hd._opinion import (
     unchanging,
     what_it_has,
 )
+from sklearn_hd._readings import highest_harmonic
 from sklearn_hd._records.data import input_scale, observations, output_scale, scaled_outputs
 from sklearn_hd.algorithms.linalg.rounding import EPS
 from sklearn_hd.algorithms.lti.simulation import continuous_poles
@@ -121,8 +122,7 @@ def identified_modes(model, experiment):
     families[~window] = floquet_families(z[~window], basis.rows_per_period, FAMILY_TOLERANCE)
     # a coefficient of harmonic k turns by less than half the way to the next: members further
     # out are copies
-    highest = max(k for _, orders in basis.outputs for k in orders)
-    wild |= np.abs(exponents.imag) > (highest + 0.5) * basis.omega
+    wild |= np.abs(exponents.imag) > (highest_harmonic(basis.outputs) + 0.5) * basis.omega
     whole = _whole_families(z, np.flatnonzero(~window), basis)
     return IdentifiedModes(z, exponents, shapes, families, window, wild, whole, basis.omega)
 

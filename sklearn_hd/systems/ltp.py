@@ -78,16 +78,7 @@ class LTPSystem(NamedSignals):
     """
 
     def __init__(
-        self,
-        F,
-        G,
-        P=None,
-        Q=None,
-        *,
-        omega,
-        state_names=None,
-        input_names=None,
-        output_names=None,
+        self, F, G, P=None, Q=None, *, omega, state_names=None, input_names=None, output_names=None
     ):
         self.omega = check_positive("omega", omega, "rad/s", "it is 2π over the period in seconds")
         self.F, (n, columns) = periodic_matrix(F, "F")
@@ -114,22 +105,14 @@ class LTPSystem(NamedSignals):
     @classmethod
     @within_range
     def from_harmonic_decomposition(
-        cls,
-        model,
-        omega,
-        *,
-        state_names=None,
-        input_names=None,
-        output_names=None,
-        tolerance=0.1,
+        cls, model, omega, *, state_names=None, input_names=None, output_names=None, tolerance=0.1
     ):
         """Periodic system whose harmonic decomposition is a given model.
 
             F, G, P, Q = arg min ‖[A + ωN, B; C, D] − [T(F), T(G); T(P), T(Q)]‖
 
         This is the inverse of :meth:`harmonic_decomposition`. It returns the Fourier coefficients
-        of
-        F up to harmonic 2 N, of G up to N + M, of P up to L + N and of Q up to L + M.
+        of F up to harmonic 2 N, of G up to N + M, of P up to L + N and of Q up to L + M.
 
         Parameters
         ----------
