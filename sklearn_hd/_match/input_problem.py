@@ -185,7 +185,7 @@ class InputProblem:
         response = sampled_response(linear, np.zeros(linear.n_parameters), self.omega, spp)
         n_samples = max(map(len, self.experiment.outputs))
         if self.starts is not None:  # each period from its own
-            n_samples = self.experiment.basis.samples_per_period
+            n_samples = spp
         growth = n_samples / len(response.Phi) * np.log(max(response.spectral_radius, 1e-300))
         if not growth <= MAX_GROWTH:
             raise GrowthError(
@@ -326,7 +326,7 @@ class InputProblem:
     def _realization(self, fit, n_harmonics, first, physical):
         """What a fit found, harmonics of G beyond the first count taken for what they are."""
         full = self._resolved(n_harmonics, fit.count)
-        linear, basis = self._known_states(full), self.experiment.basis
+        linear = self._known_states(full)
         places = _places(linear)
         harmonic, row, _ = np.unravel_index(places, linear.constant.shape)
         later = (harmonic > 2 * first) & (row < linear.n_states)
@@ -335,7 +335,7 @@ class InputProblem:
         gains[order], unknown[order] = fit.gains, fit.unknown
         found = linear.coefficients(gains)
         theta = full.nearest(found)
-        model = PeriodicModel(full.coefficients(theta), basis.omega, *self.names)
+        model = PeriodicModel(full.coefficients(theta), self.omega, *self.names)
         if self.form is not None:
             full, theta = fixed_scale(full, theta, self.form)
         names = tuple(np.array(linear.parameter_names, dtype=object)[unknown])

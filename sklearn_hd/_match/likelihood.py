@@ -57,14 +57,12 @@ def match_likelihood(match, structure, experiment, settings, opinion):
             "input_noise=None"
         )
     wanted = HarmonicStructure() if structure is None else structure
-    bounds, given = None, match.structure
-    if periodic is None:
-        bounds = structure.lower, structure.upper
+    bounds = (structure.lower, structure.upper) if periodic is None else None
     open_to = _open_counts(match, wanted)
     if open_to:
         fit = _refine_harmonics(match, wanted, open_to, data, settings)
     else:
-        fit = data.fit(given, match.theta, settings, bounds=bounds)
+        fit = data.fit(match.structure, match.theta, settings, bounds=bounds)
     data, delays = fit.data, fit.data.delays_of(delays)
     experiment, sampled = data.experiment, data.sampled(fit, match)
     trust = trusted(fit, experiment, sampled, fit.result.point.theta, settings, opinion)

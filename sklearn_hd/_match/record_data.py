@@ -23,6 +23,7 @@ from sklearn_hd.algorithms.likelihood.prediction_error import (
 )
 from sklearn_hd.algorithms.likelihood.search import LikelihoodResult, cost_of_best_inputs
 from sklearn_hd.algorithms.periodic.behind_samples import samples_of
+from sklearn_hd.algorithms.periodic.harmonic_balance import resize_harmonics
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.periodic.periodic_realization import tail_begins
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
@@ -248,13 +249,13 @@ class RecordData:
         mean, step = model.input_mean, 2.0 * np.pi / self.n_phases
         if mean is None or self.cells is None:
             return mean
-        m = mean.shape[1]
-        before = Cells.of(model.delays.seconds / self.experiment.base.sample_time, m)
+        samples = model.delays.seconds / self.experiment.base.sample_time
+        before = Cells.of(samples, mean.shape[1])
         lags, f = before.input_lags, before.fractions.inputs
         orders = np.arange(1, len(mean) // 2 + 1)[:, None]
-        blend = np.concatenate([np.ones((1, m)), 1.0 - f + f * np.exp(-1j * orders * step)])
+        blend = 1.0 - f + f * np.exp(-1j * orders * step)
         sent = np.array(mean, dtype=float)
-        waves = (sent[1::2] - 1j * sent[2::2]) / blend[1:]
+        waves = (sent[1::2] - 1j * sent[2::2]) / blend
         sent[1::2], sent[2::2] = waves.real, -waves.imag
         now = self.cells.input_lags - lags
         return np.hstack([turned(sent, step * each) for each in (now, now + 1)])
@@ -304,12 +305,8 @@ def _with_constant(inputs, n_inputs):
 def _coefficients(response):
     """Fourier coefficients of [A B; C D](ψ) from the samples of a turn, without rounding."""
     parts = [sampled_harmonics(M, tail_begins(M, 0.0)) for M in (response.Psi, response.Out)]
-    whole = np.zeros(
-        (max(map(len, parts)), parts[0].shape[1] + parts[1].shape[1], parts[0].shape[2])
-    )
-    whole[: len(parts[0]), : parts[0].shape[1]] = parts[0]
-    whole[: len(parts[1]), parts[0].shape[1] :] = parts[1]
-    return whole
+    highest = max(map(len, parts)) // 2
+    return np.concatenate([resize_harmonics(part, highest) for part in parts], axis=1)
 
 
 def _where(phases, n_phases):

@@ -189,10 +189,9 @@ def _doubt(exponents, std, opinion, systematic):
 
 def _warn_of_steps(result, settings, exponents, moves, std, part, omega):
     """Warn of a search that stopped where another step would change the model."""
-    n, steps = len(exponents), np.zeros(0)
     if result.converged:
         return
-    deviations = np.concatenate([std.real, std.imag])
+    n, deviations = len(exponents), np.concatenate([std.real, std.imag])
     with np.errstate(divide="ignore", invalid="ignore"):
         steps = np.where(moves == 0.0, 0.0, np.abs(moves) / deviations)
     steps = np.where(np.tile(lasting(exponents, omega), 2), steps, 0.0)
