@@ -20,32 +20,24 @@ from sklearn_hd.algorithms.periodic.harmonic_balance import trimmed_harmonics
 from sklearn_hd.algorithms.periodic.harmonic_decomposition import harmonic_decomposition
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
-from sklearn_hd.algorithms.signals.fourier import harmonic_labels, mean_square
+from sklearn_hd.algorithms.signals.fourier import mean_square
 from sklearn_hd.systems import LTPSystem
+from sklearn_hd.systems.arguments import harmonic_names
 
 LIKELIHOODS = ("output_error", "prediction_error")
 
 
 @dataclass(frozen=True, eq=False)
 class MatchSettings:
-    """How to match, as the matcher was told.
+    """How to match, as the matcher was told."""
 
-    Attributes
-    ----------
-    criterion : {"hinf", "least_squares", "output_error", "prediction_error"}
-        The last two start from the mean square.
-    output_weights, input_weights : as given
-    n_starts, random_state, max_iter : int
-    input_noise : ndarray, shape (m,), or None
-    """
-
-    criterion: str
-    output_weights: object
-    input_weights: object
+    criterion: str  # a likelihood starts from the mean square
+    output_weights: object  # as given
+    input_weights: object  # as given
     n_starts: int
     random_state: int | None
     max_iter: int
-    input_noise: np.ndarray | None
+    input_noise: np.ndarray | None  # (m,)
 
     @property
     def likely(self):
@@ -60,19 +52,10 @@ class MatchSettings:
 
 @dataclass(frozen=True, eq=False)
 class PeriodicModel:
-    """Linear time-periodic system by its Fourier coefficients, as a value that pickles.
+    """Linear time-periodic system by its Fourier coefficients, as a value that pickles."""
 
-    Attributes
-    ----------
-    coefficients : ndarray, shape (2 K + 1, n + l, n + m)
-        Of [F G; P Q](ψ), in the order 0, 1c, 1s, ….
-    omega : float
-        rad/s.
-    state_names, input_names, output_names : tuple of str
-    """
-
-    coefficients: np.ndarray
-    omega: float
+    coefficients: np.ndarray  # (2 K + 1, n + l, n + m), of [F G; P Q](ψ) in the order 0, 1c, 1s, …
+    omega: float  # rad/s
     state_names: tuple
     input_names: tuple
     output_names: tuple
@@ -89,8 +72,7 @@ class PeriodicModel:
 
     def matrices(self):
         """Fourier coefficients of F, G, P and Q."""
-        M, n = self.coefficients, self.n_states
-        return M[:, :n, :n], M[:, :n, n:], M[:, n:, :n], M[:, n:, n:]
+        return _parts(self.coefficients, self.n_states)
 
     @property
     def input_size(self):
@@ -104,16 +86,8 @@ class PeriodicModel:
     def to_system(self):
         """The model as an LTPSystem."""
         F, G, P, Q = (trimmed_harmonics(M) for M in self.matrices())
-        return LTPSystem(
-            F,
-            G,
-            P,
-            Q,
-            omega=self.omega,
-            state_names=self.state_names,
-            input_names=self.input_names,
-            output_names=self.output_names,
-        )
+        names = {"input_names": self.input_names, "output_names": self.output_names}
+        return LTPSystem(F, G, P, Q, omega=self.omega, state_names=self.state_names, **names)
 
     def sampled(self, dt):
         """Its samples, as a SampleModel without a forced response."""
@@ -134,20 +108,14 @@ class PeriodicModel:
         kept are the states, too.
         """
         N, states = self._states_kept(basis)
-        labels = [f"{x}_{k}" for k in harmonic_labels(range(N + 1)) for x in self.state_names]
+        labels = harmonic_names(self.state_names, N)
         stacked = _decompose(self.coefficients, self.omega, basis, N, states)
-        n = len(states)
-        parts = stacked[:n, :n], stacked[:n, n:], stacked[n:, :n], stacked[n:, n:]
-        return parts, tuple(labels[i] for i in states)
+        return _parts(stacked, len(states)), tuple(labels[i] for i in states)
 
     def decomposed_structure(self, structure, basis):
-        """The same with the parameters of a periodic structure, whose model this is.
+        """The same as an AffineStructure of the parameters of a structure, whose model this is.
 
-        Returns
-        -------
-        affine : AffineStructure
-        seen : ndarray of int
-            Parameters that stand in it.
+        And which of the parameters stand in it.
         """
         N, states = self._states_kept(basis)
         shape = structure.constant.shape
@@ -170,13 +138,16 @@ class PeriodicModel:
         return N, list(range((2 * N + 1) * self.n_states))
 
 
+def _parts(M, n):
+    """F, G, P and Q of [F G; P Q] with n states, or A, B, C and D."""
+    return M[..., :n, :n], M[..., :n, n:], M[..., n:, :n], M[..., n:, n:]
+
+
 def _decompose(coefficients, omega, basis, n_harmonics, states):
     """[A B; C D] of the harmonic decomposition between some states and what a basis keeps."""
     n = coefficients.shape[1] - len(basis.outputs)
     M, L = highest_harmonic(basis.inputs), highest_harmonic(basis.outputs)
-    parts = coefficients[:, :n, :n], coefficients[:, :n, n:]
-    parts += coefficients[:, n:, :n], coefficients[:, n:, n:]
-    A, B, C, D = harmonic_decomposition(*parts, omega, n_harmonics, M, L)
+    A, B, C, D = harmonic_decomposition(*_parts(coefficients, n), omega, n_harmonics, M, L)
     rows, columns = kept_places(basis.outputs), kept_places(basis.inputs)
     left = [A[np.ix_(states, states)], C[np.ix_(rows, states)]]
     right = [B[np.ix_(states, columns)], D[np.ix_(rows, columns)]]
@@ -197,42 +168,22 @@ def kept_places(signals):
 class Uncertainty:
     """How well the record determines a model: the Cramér-Rao bound at the estimate.
 
-    Attributes
-    ----------
-    covariance : ndarray, shape (k, k)
-        Of the parameters; infinite and NaN where the record does not determine them.
-    noise_std : ndarray, shape (l,)
-        Of the outputs' noise, in their units.
-    aic, bic : float
-    exponents, exponents_std : complex ndarray, shape (n,)
-        Eigenvalues or Floquet exponents, 1/s; standard deviation of the real part + j
-        times that of the imaginary part.
-    affine : AffineStructure
-        The time-invariant model, affine in some of the parameters.
-    seen : ndarray of int
-        Which parameters.
-    dt : float
-        Seconds between samples of that model; 0 in continuous time.
-    kind : {"information", "robust"}
-        What the covariance is made of.
-    tests : dict of list, or None
-        Columns of the residual tests of the record fitted; None where a simulation overflows, or
-        rows are few.
-    doubt : str or None
-        What of the model does not stand; None if it stands, whatever its residuals are.
+    ``tests`` holds columns of the residual tests of the record fitted; None where a simulation
+    overflows, or rows are few. ``doubt`` says what of the model does not stand; None if it stands,
+    whatever its residuals are.
     """
 
-    covariance: np.ndarray
-    noise_std: np.ndarray
+    covariance: np.ndarray  # (k, k); infinite and NaN where the record leaves parameters open
+    noise_std: np.ndarray  # (l,), of the outputs' noise, in their units
     aic: float
     bic: float
-    exponents: np.ndarray
-    exponents_std: np.ndarray
-    affine: AffineStructure | None = None
-    seen: np.ndarray | None = None
-    dt: float = 0.0
-    kind: str = "information"
-    tests: object = None
+    exponents: np.ndarray  # (n,), eigenvalues or Floquet exponents, 1/s
+    exponents_std: np.ndarray  # of the real part + j times that of the imaginary part
+    affine: AffineStructure | None = None  # the time-invariant model, of some of the parameters
+    seen: np.ndarray | None = None  # which parameters
+    dt: float = 0.0  # seconds between samples of that model; 0 in continuous time
+    kind: str = "information"  # or "robust": what the covariance is made of
+    tests: dict | None = None
     doubt: str | None = None
 
     def frequency_response(self, theta, frequencies):
@@ -266,40 +217,21 @@ class Uncertainty:
 class Match:
     """A structured model: its parameters, and how it came about.
 
-    Attributes
-    ----------
-    model : LTIModel
-        Time-invariant, in continuous time; the harmonic decomposition of a periodic one.
-    names : tuple of str
-    theta : ndarray, shape (n_parameters,)
-    structure : PeriodicStructure or None
-        How the parameters make the matrices, for the maximum-likelihood refinement; None
-        where every entry is one.
-    periodic : PeriodicModel or None
-        The linear time-periodic model, of periodic structures only.
-    theta_least_squares : ndarray, shape (n_parameters,), or None
-        The match in the mean square over frequency; None where it is ``theta``.
-    found : MatchResult or None
-        What the search in a norm left; None where nothing was minimised in one.
-    n_iter : int
-    uncertainty : Uncertainty or None
-        After maximum likelihood only.
-    sampled : SampleModel or None
-        Its samples and the forced response, of models of samples only.
-    waveform : ndarray, shape (n_phases, l), or None
-        What the trim that was subtracted is off by, after maximum likelihood.
+    ``structure`` says how the parameters make the matrices, for the maximum-likelihood refinement;
+    None where every entry is one. ``waveform`` (n_phases, l) is what the trim that was subtracted
+    is off by, after maximum likelihood.
     """
 
-    model: LTIModel
-    names: tuple
-    theta: np.ndarray
+    model: LTIModel  # in continuous time; the harmonic decomposition of a periodic one
+    names: tuple  # of the parameters
+    theta: np.ndarray  # (n_parameters,)
     structure: PeriodicStructure | None
-    periodic: PeriodicModel | None = None
-    theta_least_squares: np.ndarray | None = None
-    found: MatchResult | None = None
+    periodic: PeriodicModel | None = None  # of periodic structures only
+    theta_least_squares: np.ndarray | None = None  # the match in the mean square, if not theta
+    found: MatchResult | None = None  # what the search in a norm left, if there was one
     n_iter: int = 1
-    uncertainty: Uncertainty | None = None
-    sampled: SampleModel | None = None
+    uncertainty: Uncertainty | None = None  # after maximum likelihood only
+    sampled: SampleModel | None = None  # with the forced response, of models of samples only
     waveform: np.ndarray | None = None
 
     @property

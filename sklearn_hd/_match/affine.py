@@ -24,7 +24,7 @@ from sklearn_hd._checks import LITTLE
 from sklearn_hd._fit_checks import grows_by
 from sklearn_hd._guards import first_of, warn
 from sklearn_hd._match import Match, PeriodicModel, periodic_match
-from sklearn_hd._match.periodic import state_outputs, warn_coordinates
+from sklearn_hd._match.periodic import check_n_states, state_outputs, warn_coordinates
 from sklearn_hd._readings import highest_harmonic
 from sklearn_hd._records.data import input_scale, output_scale, to_continuous
 from sklearn_hd._simulators import sample_simulators
@@ -46,16 +46,9 @@ MOST_ROWS = 10_000  # of a segment, on which responses are compared
 
 
 def match_affine(model, experiment, structure, settings):
-    """The structure matched to a continuous model in the norm of the criterion.
+    """The structure matched to a continuous LTIModel in the norm of the criterion.
 
-    Parameters
-    ----------
-    model : LTIModel
-        In continuous time.
-    experiment : Experiment
-    structure : MatrixStructure, HarmonicStructure or None
-        None leaves the model as it is.
-    settings : MatchSettings
+    A structure of None leaves the model as it is.
     """
     if structure is None:
         return _unchanged(model)
@@ -164,14 +157,9 @@ def _check_record(periodic, experiment, error):
 
 
 def read_weights(name, given, channels):
-    """Array of positive numbers by channel; what is not named in a dict weighs 1.
+    """Array of positive numbers by channel; what is not named in a mapping weighs 1.
 
-    Parameters
-    ----------
-    name : str
-        Of the parameter, for messages.
-    given : None, number, sequence or mapping
-    channels : sequence of str
+    Given may be None, a number, a sequence or a mapping; ``name`` is the parameter's, for messages.
     """
     channels = list(channels)
     allowed = "a positive number, one for each channel, or a dict of them by channel"
@@ -291,16 +279,7 @@ def warn_matched(result, criterion, poles, affine):
 
 
 def match_samples(model, experiment, structure, settings):
-    """The match of a model of samples.
-
-    Parameters
-    ----------
-    model : SampleModel
-    experiment : Experiment
-    structure : MatrixStructure, HarmonicStructure or None
-        None leaves the model as it is.
-    settings : MatchSettings
-    """
+    """The match of a SampleModel; a structure of None leaves it as it is."""
     if isinstance(structure, HarmonicStructure) or not model.time_invariant:
         match = _periodic(model, experiment, structure)
         coefficients, n = match.periodic.coefficients, match.periodic.n_states
@@ -345,12 +324,7 @@ def _periodic(model, experiment, structure):
         )
     basis, innovations = experiment.basis, model.innovations
     asked = HarmonicStructure() if structure is None else structure
-    if asked.n_states not in (None, model.n_states):
-        raise ValueError(
-            f"the structure has {asked.n_states} states, but the identified model has "
-            f"{model.n_states}; identify with MOESPRegressor(order={asked.n_states}), or change "
-            f"the structure"
-        )
+    check_n_states(asked, model)
     turn = turn_of(innovations, model.omega)
     names = list(model.output_names)
     found = turn.model(
@@ -369,12 +343,13 @@ def _periodic(model, experiment, structure):
     warn_coordinates(periodic)
     if found.form is not None:
         full, theta = fixed_scale(full, theta, found.form)
-    return periodic_match(full, theta, periodic, *_decomposed(model, basis))
+    return periodic_match(full, theta, periodic, model.to_lti(), decomposed_basis(model, basis))
 
 
-def decomposed_basis(match, experiment):
-    """The signals of the harmonic decomposition of a match of samples."""
-    return _decomposed(match.sampled, experiment.basis)[1]
+def decomposed_basis(model, basis):
+    """The signals of a decomposition of as many harmonics as a SampleModel has."""
+    orders = tuple(range(model.innovations.n_harmonics + 1))
+    return replace(basis, outputs=tuple((name, orders) for name, _ in basis.outputs))
 
 
 def _weights(found, model, experiment):
@@ -395,13 +370,6 @@ def _weights(found, model, experiment):
     own = noise[np.ix_(found.rows, found.rows)]
     states = linalg.inv(linalg.cholesky(own + EXACT * np.eye(len(own)), lower=True))
     return states / y[found.rows], outputs, R.T
-
-
-def _decomposed(model, basis):
-    """The model, and the signals of a decomposition of as many harmonics as it has."""
-    orders = tuple(range(model.innovations.n_harmonics + 1))
-    outputs = tuple((name, orders) for name, _ in basis.outputs)
-    return model.to_lti(), replace(basis, outputs=outputs)
 
 
 def _unlike(sampled, model, experiment, within_noise):

@@ -55,33 +55,18 @@ class GrowthError(ValueError):
 class Realization:
     """A periodic model in closed form, and how far it can be trusted.
 
-    Attributes
-    ----------
-    model : PeriodicModel
-    structure : PeriodicStructure
-        Whose parameters the model's coefficients are.
-    theta : ndarray
-    physical : bool
-        Whether the states are outputs, rather than Floquet coordinates.
-    r2 : float
-        Share of the raw record's variance that the model explains.
-    systematic : float
-        Share of it that stands unexplained and is no white noise: covariance of what is
-        left of neighbouring samples.
-    unidentified : tuple of str
-        Parameters of G and Q that the record does not determine.
-    without : float or None
-        What was systematic without Q, where the data asked for one.
+    ``systematic`` is the share of the raw record's variance that stands unexplained and is no
+    white noise: covariance of what is left of neighbouring samples.
     """
 
     model: PeriodicModel
-    structure: PeriodicStructure
+    structure: PeriodicStructure  # whose parameters the model's coefficients are
     theta: np.ndarray
-    physical: bool
-    r2: float
+    physical: bool  # states are outputs, rather than Floquet coordinates
+    r2: float  # share of the raw record's variance that the model explains
     systematic: float
-    unidentified: tuple
-    without: float | None = None
+    unidentified: tuple  # names of parameters of G and Q that the record does not determine
+    without: float | None = None  # what was systematic without Q, where the data asked for one
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,9 +156,8 @@ class InputProblem:
             found = self._judged(fit, count, stiffness)
             if tried and found.n_unknown > tried[-1].n_unknown:
                 break
-            worse = (
-                0 if found.misfit < min((f.misfit for f in tried), default=np.inf) else worse + 1
-            )
+            least = min((each.misfit for each in tried), default=np.inf)
+            worse = 0 if found.misfit < least else worse + 1
             tried.append(found)
             if worse == PATIENCE:
                 break
@@ -201,7 +185,7 @@ class InputProblem:
         response = sampled_response(linear, np.zeros(linear.n_parameters), self.omega, spp)
         n_samples = max(map(len, self.experiment.outputs))
         if self.starts is not None:  # each period from its own
-            n_samples = self.experiment.basis.samples_per_period
+            n_samples = spp
         growth = n_samples / len(response.Phi) * np.log(max(response.spectral_radius, 1e-300))
         if not growth <= MAX_GROWTH:
             raise GrowthError(
@@ -342,7 +326,7 @@ class InputProblem:
     def _realization(self, fit, n_harmonics, first, physical):
         """What a fit found, harmonics of G beyond the first count taken for what they are."""
         full = self._resolved(n_harmonics, fit.count)
-        linear, basis = self._known_states(full), self.experiment.basis
+        linear = self._known_states(full)
         places = _places(linear)
         harmonic, row, _ = np.unravel_index(places, linear.constant.shape)
         later = (harmonic > 2 * first) & (row < linear.n_states)
@@ -351,7 +335,7 @@ class InputProblem:
         gains[order], unknown[order] = fit.gains, fit.unknown
         found = linear.coefficients(gains)
         theta = full.nearest(found)
-        model = PeriodicModel(full.coefficients(theta), basis.omega, *self.names)
+        model = PeriodicModel(full.coefficients(theta), self.omega, *self.names)
         if self.form is not None:
             full, theta = fixed_scale(full, theta, self.form)
         names = tuple(np.array(linear.parameter_names, dtype=object)[unknown])

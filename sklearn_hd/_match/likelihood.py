@@ -24,9 +24,7 @@ from sklearn_hd._match.trust import trusted, warn_of_slow
 from sklearn_hd._records.delays import as_measured, warn_of_doubt
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.algorithms.likelihood.free_form import free_form, highest
-from sklearn_hd.algorithms.likelihood.search import (
-    OverflowingStartError,
-)
+from sklearn_hd.algorithms.likelihood.search import OverflowingStartError
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
@@ -41,16 +39,8 @@ FIRST_HARMONICS = 2  # of G, and P in Floquet coordinates: more are tried afterw
 def match_likelihood(match, structure, experiment, settings, opinion):
     """A match refined to the largest likelihood of the record, in the same structure.
 
-    Parameters
-    ----------
-    match : Match
-        To start from.
-    structure : MatrixStructure, HarmonicStructure or None
-        As asked for; numbers of harmonics that it leaves open are chosen here.
-    experiment : Experiment
-    settings : MatchSettings
-    opinion : Opinion or None
-        The second opinion of the record.
+    Numbers of harmonics that the structure asked for leaves open are chosen here. The opinion is
+    the second one of the record, or None.
     """
     if match.structure is None:
         raise ValueError(
@@ -67,15 +57,13 @@ def match_likelihood(match, structure, experiment, settings, opinion):
             "input_noise=None"
         )
     wanted = HarmonicStructure() if structure is None else structure
-    bounds, given = None, match.structure
-    if periodic is None:
-        bounds = structure.lower, structure.upper
+    bounds = (structure.lower, structure.upper) if periodic is None else None
     open_to = _open_counts(match, wanted)
     if open_to:
         fit = _refine_harmonics(match, wanted, open_to, data, settings)
     else:
-        fit = data.fit(given, match.theta, settings, bounds=bounds)
-    data, delays = fit.data, fit.data.delays_of(fit, delays)
+        fit = data.fit(match.structure, match.theta, settings, bounds=bounds)
+    data, delays = fit.data, fit.data.delays_of(delays)
     experiment, sampled = data.experiment, data.sampled(fit, match)
     trust = trusted(fit, experiment, sampled, fit.result.point.theta, settings, opinion)
     warn_of_slow(fit, trust, experiment)
@@ -87,7 +75,9 @@ def match_likelihood(match, structure, experiment, settings, opinion):
     if periodic is None:
         refined = _invariant(match, structure, fit, trust)
     else:
-        basis = experiment.basis if match.sampled is None else decomposed_basis(match, experiment)
+        basis = experiment.basis
+        if match.sampled is not None:
+            basis = decomposed_basis(match.sampled, basis)
         refined = _periodic(match, fit, basis, trust)
         if trust.kind == "robust" and match.sampled is None and "G" in open_to:
             why = "the residuals of the fit are not white noise"
@@ -141,19 +131,6 @@ def _invariant(match, structure, fit, trust):
     )
 
 
-def _n_harmonics_of_outputs(match, structure):
-    """Highest harmonic of P in a match; None where P is the identity."""
-    asked, periodic = structure.n_harmonics("P"), match.periodic
-    if asked is not None or set(periodic.state_names) == set(periodic.output_names):
-        return asked
-    return periodic.highest("P")
-
-
-def _n_harmonics_of_feedthrough(periodic):
-    """Highest harmonic of Q in a match; None where Q is zero."""
-    return periodic.highest("Q") if np.any(periodic.matrices()[3]) else None
-
-
 def _open_counts(match, structure):
     """Names of the matrices whose number of harmonics the data choose, first things first.
 
@@ -170,11 +147,10 @@ def _structures(match, structure, open_to):
     periodic = match.periodic
     signals = periodic.state_names, periodic.input_names, periodic.output_names
     if periodic.physical:
-        fixed = {name: structure.n_harmonics(name) for name in "FG" if name not in open_to}
-        fixed |= {
-            "P": _n_harmonics_of_outputs(match, structure),
-            "Q": _n_harmonics_of_feedthrough(periodic),
-        }
+        fixed = {name: structure.n_harmonics(name) for name in "FGP" if name not in open_to}
+        if fixed["P"] is None and set(periodic.state_names) != set(periodic.output_names):
+            fixed["P"] = periodic.highest("P")  # else P is the identity
+        fixed["Q"] = periodic.highest("Q") if periodic.matrices()[3].any() else None
         return lambda counts: structure.resolve(*signals, {**fixed, **counts})
     full, n = match.structure, periodic.n_states
     entries = full.basis.tocoo()
@@ -201,16 +177,6 @@ def _refine_harmonics(match, structure, open_to, data, settings):
     is allowed for, looks like harmonics of G if it is not: it comes in before G is judged.
 
     Few harmonics may not converge where the start's own do: then it begins with all of these.
-
-    Parameters
-    ----------
-    match : Match
-        To start from.
-    structure : HarmonicStructure
-    open_to : str
-        Names of the matrices whose number of harmonics is chosen.
-    data : RecordData
-    settings : MatchSettings
     """
     start, of_counts = match.periodic, _structures(match, structure, open_to)
     highest = int(np.ceil(data.n_phases / 2.0)) - 1
@@ -273,14 +239,11 @@ def _climb(best, name, ahead, fit):
             break
         worse = 0 if at.fit.aic < best.fit.aic else worse + 1
         best = at if worse == 0 else best
-        if worse == PATIENCE or (count < best.counts[name] and _hopeless(at.fit, best.fit)):
+        # still fewer harmonics fit worse, if anything, so none has a smaller criterion
+        hopeless = count < best.counts[name] and 2.0 * at.fit.result.cost >= best.fit.aic
+        if worse == PATIENCE or hopeless:
             break
     return best
-
-
-def _hopeless(at, best):
-    """Whether no part of a model class can have a smaller criterion: it fits worse, if anything."""
-    return 2.0 * at.result.cost >= best.aic
 
 
 def warn_closed_loop():
@@ -306,14 +269,9 @@ def warn_unidentified(result):
 
 
 def match_free(model, experiment, settings):
-    """The match of a discrete model refined, every entry of its matrices free.
+    """The match of a model refined, every entry of its matrices free.
 
-    Parameters
-    ----------
-    model : LTIModel or SampleModel
-        Of rows, or of samples at their azimuths.
-    experiment : Experiment
-    settings : MatchSettings
+    It is an LTIModel of rows, or a SampleModel of samples at their azimuths.
     """
     of_samples = isinstance(model, SampleModel)
     start = model if of_samples else _as_samples(model)
@@ -380,17 +338,12 @@ def _free(start, data, settings):
     own = entries[: 2 * moved.n_harmonics + 1, :, :-1]
     structure = PeriodicStructure.all_free(own.shape, n, start.feedthrough)
     theta = structure.nearest(own)
-    places = _places(structure, found.coefficients.shape)
+    where = np.unravel_index(structure.basis.indices, structure.constant.shape)
+    places = np.ravel_multi_index(where, found.coefficients.shape)  # loads are among these
     into = found.slopes[:, places].T
     covariance = into @ found.result.covariance @ into.T
     result = replace(found.result, theta=theta, gain=found.gain, covariance=covariance)
     return Fit(structure, replace(form, structure=structure), result, data, into), sampled
-
-
-def _places(structure, shape):
-    """Where parameters stand among all coefficients, loads among them."""
-    entries = np.unravel_index(structure.basis.indices, structure.constant.shape)
-    return np.ravel_multi_index(entries, shape)
 
 
 def _as_samples(model):

@@ -22,7 +22,7 @@ from sklearn_hd._records.data import beside_trim, lifted_periods, output_scale, 
 from sklearn_hd._residuals import why_incomplete
 from sklearn_hd._simulators import sample_simulators
 from sklearn_hd.algorithms.likelihood.small_motions import AS_LITTLE
-from sklearn_hd.algorithms.lti.simulation import GROWN, propagate
+from sklearn_hd.algorithms.lti.simulation import GROWN, growth, propagate
 from sklearn_hd.algorithms.modes.free_decay import offsets, periods_at_rest
 from sklearn_hd.algorithms.periodic.behind_samples import FINER
 from sklearn_hd.algorithms.periodic.floquet_coordinates import floquet_coordinates
@@ -50,16 +50,9 @@ EQUATION_HARMONICS = 2  # of F and G in the equation-error start
 
 
 def match_periodic(model, experiment, structure, simulated=True):
-    """The match of a period-synchronous model in closed form.
+    """The match of an LTIModel from one period to the next, in closed form.
 
-    Parameters
-    ----------
-    model : LTIModel
-        Discrete, from one period to the next.
-    experiment : Experiment
-    structure : HarmonicStructure
-    simulated : bool
-        Whether the model is the one that will be simulated: False before it is refined.
+    ``simulated`` says whether it is the one that will be simulated: False before it is refined.
     """
     found = realize(model, experiment, structure)
     warn_coordinates(found.model)
@@ -72,27 +65,12 @@ def match_periodic(model, experiment, structure, simulated=True):
 
 
 def realize(model, experiment, structure):
-    """The realization of the periodic model behind a period-synchronous one, in closed form.
+    """The realization of the periodic model behind an LTIModel from one period to the next.
 
-    Parameters
-    ----------
-    model : LTIModel
-        Discrete, from one period to the next.
-    experiment : Experiment
-    structure : HarmonicStructure
-
-    Raises
-    ------
-    FloquetError, GrowthError
-        If the multipliers or F(ψ) are those of no periodic system, or of one that outgrows
-        numbers, and measured states lead to no better ones.
+    Raises FloquetError or GrowthError if the multipliers or F(ψ) are those of no periodic system,
+    or of one that outgrows numbers, and measured states lead to no better ones.
     """
-    if structure.n_states not in (None, model.n_states):
-        raise ValueError(
-            f"the structure has {structure.n_states} states, but the identified model has "
-            f"{model.n_states}; identify with MOESPRegressor(order={structure.n_states}), or "
-            f"change the structure"
-        )
+    check_n_states(structure, model)
     _check_harmonics(structure, experiment.basis.samples_per_period)
     scale = output_scale(experiment)
     found = _without_feedthrough(model, experiment, structure, scale)
@@ -219,8 +197,7 @@ def _in_closed_form(model, experiment, structure, scale, feedthrough=False):
             n_harmonics["P"] = None
         F, P = F * scale[rows][:, None] / scale[rows], P / scale[rows]
     P = P * scale[:, None]
-    for name in n_harmonics:
-        n_harmonics[name] = given(structure, name, n_harmonics[name])
+    n_harmonics = {name: given(structure, name, found) for name, found in n_harmonics.items()}
     free = {
         name: sampled_harmonics(values, n_harmonics[name] or 0)
         for name, values in (("F", F), ("P", P))
@@ -233,6 +210,16 @@ def given(structure, name, default):
     """Number of harmonics that the structure asks for, or a default."""
     asked = structure.n_harmonics(name)
     return default if asked is None else asked
+
+
+def check_n_states(structure, model):
+    """Raise ValueError if a HarmonicStructure has another number of states than a model."""
+    if structure.n_states not in (None, model.n_states):
+        raise ValueError(
+            f"the structure has {structure.n_states} states, but the identified model has "
+            f"{model.n_states}; identify with MOESPRegressor(order={structure.n_states}), or "
+            f"change the structure"
+        )
 
 
 def _check_harmonics(structure, samples_per_period):
@@ -276,21 +263,11 @@ def state_outputs(structure, names, n, choices, determined):
 
 
 def output_shapes(model, experiment, scale, states=None):
-    """Mode shapes of the outputs (FloquetShapes), in parts of their scale.
+    """Mode shapes of the outputs (FloquetShapes), in parts of their scale (n_outputs,).
 
-    Parameters
-    ----------
-    model : LTIModel
-        Discrete, from one period to the next.
-    experiment : Experiment
-    scale : ndarray, shape (n_outputs,)
-    states : list of ndarray, shapes (n_periods_s, n), optional
-        At the beginning of each period, from :func:`predictor_states`; else simulated.
-
-    Raises
-    ------
-    FloquetError, GrowthError
-        If the multipliers are those of no periodic system, or of one that outgrows numbers.
+    The states at the beginning of each period are those of :func:`predictor_states`, or else
+    simulated. Raises FloquetError or GrowthError if the multipliers are those of no periodic
+    system, or of one that outgrows numbers.
     """
     basis = experiment.basis
     spp, period = basis.samples_per_period, 2.0 * np.pi / basis.omega
@@ -316,11 +293,7 @@ def predictor_states(model, experiment):
 
     Its predictor is stable, and its errors are independent of inputs that answer to outputs of
     earlier periods. B − K D, D and the initial states are those that leave the least innovations:
-    a linear least-squares fit, with regressors that do not grow.
-
-    Returns
-    -------
-    states : list of ndarray, shapes (n_periods_s, n)
+    a linear least-squares fit, with regressors that do not grow. A list of (n_periods_s, n).
     """
     _, _, directions = _raw_periods(experiment, model.n_states)
     inputs, (seen, unit) = beside_trim(directions, experiment.basis), _seen(experiment)
@@ -336,11 +309,10 @@ def predictor_states(model, experiment):
 def _simulated(model, C, inputs, directions, lifted, seen):
     """What every sample of the period sees of the states, and the rows left for noise."""
     Phi, n = model.A, model.n_states
-    radius = max(np.max(np.abs(linalg.eigvals(Phi))), np.finfo(float).tiny)
-    growth = max(map(len, lifted)) * np.log(radius)
-    if growth > MAX_GROWTH:
+    folds = max(map(len, lifted)) * growth(Phi)
+    if folds > MAX_GROWTH:
         raise GrowthError(
-            f"a mode of the identified model grows e^{growth:.0f} times over the record, more than "
+            f"a mode of the identified model grows e^{folds:.0f} times over the record, more than "
             f"a record can show: lower the order, check omega, or use a shorter record"
         )
     if model.at_rest:

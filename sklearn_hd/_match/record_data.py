@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 from scipy import sparse
 
-from sklearn_hd._records.data import output_scale
+from sklearn_hd._records.data import Experiment, output_scale
 from sklearn_hd._records.delays import in_whole_samples, most_samples
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.algorithms.likelihood.delay_search import Cells, most_likely, through_cells
@@ -21,11 +21,9 @@ from sklearn_hd.algorithms.likelihood.prediction_error import (
     output_error_of,
     prediction_error,
 )
-from sklearn_hd.algorithms.likelihood.search import (
-    LikelihoodResult,
-    cost_of_best_inputs,
-)
+from sklearn_hd.algorithms.likelihood.search import LikelihoodResult, cost_of_best_inputs
 from sklearn_hd.algorithms.periodic.behind_samples import samples_of
+from sklearn_hd.algorithms.periodic.harmonic_balance import resize_harmonics
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.periodic.periodic_realization import tail_begins
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
@@ -41,23 +39,14 @@ COARSE = 0.1  # of the likelihood, in all, by which a candidate may miss its bes
 class Fit:
     """A fit of a structure, with the form and the record that it was fitted to.
 
-    Attributes
-    ----------
-    structure : PeriodicStructure
-        Without loads.
-    form : Form
-        With loads and gain.
-    result : LikelihoodResult
-    data : RecordData
-        What it was fitted to, with the delays found.
-    into : ndarray, shape (k, k'), or None
-        How the structure's parameters change with those of the search, where these are others.
+    ``into`` (k, k') says how the structure's parameters change with those of the search, where
+    these are others.
     """
 
-    structure: PeriodicStructure
-    form: Form
+    structure: PeriodicStructure  # without loads
+    form: Form  # with loads and gain
     result: LikelihoodResult
-    data: object
+    data: "RecordData"  # with the delays found
     into: np.ndarray | None = None
 
     @property
@@ -86,36 +75,19 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class RecordData:
-    """A record as a likelihood sees it.
+    """A record as a likelihood sees it."""
 
-    Attributes
-    ----------
-    segments : list of (inputs, outputs, first phase or azimuths)
-        A constant input last where there are loads.
-    omega, n_phases : float
-    observe : ndarray or None
-    start : SampleModel or None
-        Whose forced response is where loads start from; None without.
-    discrete : bool
-    experiment : Experiment
-        What the segments are of.
-    cells : Cells or None
-        Delays, where not all of them are whole samples, or some are parameters.
-    input_size : ndarray, shape (n, m), or None
-        About the size of each entry of G(ψ), where there is one.
-    """
-
-    segments: list
-    omega: float
-    n_phases: float
-    observe: np.ndarray | None
-    start: SampleModel | None
+    segments: list  # (inputs, outputs, first phase or azimuths); a constant input last with loads
+    omega: float  # rad/s
+    n_phases: float  # samples a period
+    observe: np.ndarray | None  # what is measured of harmonic coefficients at each phase
+    start: SampleModel | None  # whose forced response is where loads start from
     discrete: bool
-    experiment: object
-    n_loads: int = -1
-    cells: Cells | None = None
-    raw: bool = True
-    input_size: np.ndarray | None = None
+    experiment: Experiment  # what the segments are of
+    n_loads: int = -1  # harmonics of the forced response; -1 without one
+    cells: Cells | None = None  # delays, if not all are whole samples or some are parameters
+    raw: bool = True  # inputs as measured, not their harmonics
+    input_size: np.ndarray | None = None  # (n, m): about that of each entry of G(ψ)
 
     @classmethod
     def of(cls, experiment, raw, start, *, discrete=False, input_size=None):
@@ -137,7 +109,9 @@ class RecordData:
         inputs = experiment.inputs if raw else experiment.drive
         omega, n_phases = sampling(experiment)
         if start is None:
-            observe = None if raw or not basis.harmonic else _observation(basis)
+            observe = None
+            if basis.harmonic and not raw:
+                observe = basis.recomposition(2.0 * np.pi * np.arange(n_phases) / n_phases)
             where = [int(basis.phase_index(time)[0]) for time in experiment.times()]
             n_loads = -1
         else:
@@ -259,14 +233,14 @@ class RecordData:
             moved = np.concatenate([moved, np.zeros((*moved.shape[:2], 1))], axis=2)
         gain = np.zeros((1, n, moved.shape[1] - n)) if gain is None else gain
         innovations = PeriodicInnovations(moved, gain, fit.result.spread, step)
-        split = None
-        if self.cells is not None:
-            split = self.cells.input_lags, self.cells.output_lags
+        cells = self.cells
+        split = None if cells is None else (cells.input_lags, cells.output_lags)
         if match.sampled is not None:
             mean = self._split_mean(match.sampled)
             return replace(match.sampled, innovations=innovations, split=split, input_mean=mean)
         model, dt = match.model, 2.0 * np.pi / self.omega / self.n_phases
-        names = self._names(match)
+        named = model if match.periodic is None else match.periodic
+        names = named.input_names, named.output_names
         known = {"n_loads": -1, "delays": model.delays, "split": split}
         return SampleModel(innovations, self.omega, dt, *names, model.feedthrough, **known)
 
@@ -275,18 +249,18 @@ class RecordData:
         mean, step = model.input_mean, 2.0 * np.pi / self.n_phases
         if mean is None or self.cells is None:
             return mean
-        m = mean.shape[1]
-        before = Cells.of(model.delays.seconds / self.experiment.base.sample_time, m)
+        samples = model.delays.seconds / self.experiment.base.sample_time
+        before = Cells.of(samples, mean.shape[1])
         lags, f = before.input_lags, before.fractions.inputs
         orders = np.arange(1, len(mean) // 2 + 1)[:, None]
-        blend = np.concatenate([np.ones((1, m)), 1.0 - f + f * np.exp(-1j * orders * step)])
+        blend = 1.0 - f + f * np.exp(-1j * orders * step)
         sent = np.array(mean, dtype=float)
-        waves = (sent[1::2] - 1j * sent[2::2]) / blend[1:]
+        waves = (sent[1::2] - 1j * sent[2::2]) / blend
         sent[1::2], sent[2::2] = waves.real, -waves.imag
         now = self.cells.input_lags - lags
         return np.hstack([turned(sent, step * each) for each in (now, now + 1)])
 
-    def delays_of(self, fit, delays):
+    def delays_of(self, delays):
         """The delays found, in seconds, their deviations not yet known."""
         if self.cells is None:
             return delays
@@ -299,11 +273,6 @@ class RecordData:
         variance = np.diag(rows[:, rows.shape[1] - len(free) :])
         std[free] = np.sqrt(variance) * self.experiment.base.sample_time
         return delays.at(delays.seconds, std)
-
-    def _names(self, match):
-        if match.periodic is not None:
-            return match.periodic.input_names, match.periodic.output_names
-        return match.model.input_names, match.model.output_names
 
 
 def _cells(experiment, raw):
@@ -336,12 +305,8 @@ def _with_constant(inputs, n_inputs):
 def _coefficients(response):
     """Fourier coefficients of [A B; C D](ψ) from the samples of a turn, without rounding."""
     parts = [sampled_harmonics(M, tail_begins(M, 0.0)) for M in (response.Psi, response.Out)]
-    whole = np.zeros(
-        (max(map(len, parts)), parts[0].shape[1] + parts[1].shape[1], parts[0].shape[2])
-    )
-    whole[: len(parts[0]), : parts[0].shape[1]] = parts[0]
-    whole[: len(parts[1]), parts[0].shape[1] :] = parts[1]
-    return whole
+    highest = max(map(len, parts)) // 2
+    return np.concatenate([resize_harmonics(part, highest) for part in parts], axis=1)
 
 
 def _where(phases, n_phases):
@@ -356,11 +321,7 @@ def _where(phases, n_phases):
 def with_loads(structure, n_loads):
     """A structure with one more input, which is 1, and moves the outputs by a Fourier series.
 
-    Parameters
-    ----------
-    structure : PeriodicStructure
-    n_loads : int
-        Harmonics; each coefficient of each output is a parameter, after the structure's own.
+    Of ``n_loads`` harmonics; each coefficient of each output is a parameter, after the others.
     """
     size, rows, columns = structure.constant.shape
     n, size_all = structure.n_states, max(size, 2 * n_loads + 1)
@@ -393,9 +354,3 @@ def sampling(experiment):
     if not basis.harmonic:
         return 2.0 * np.pi / experiment.base.sample_time, 1
     return basis.omega, basis.samples_per_period
-
-
-def _observation(basis):
-    """What is measured of harmonic coefficients at each phase."""
-    spp = basis.samples_per_period
-    return basis.recomposition(2.0 * np.pi * np.arange(spp) / spp)

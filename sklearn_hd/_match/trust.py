@@ -41,24 +41,11 @@ TIME_CONSTANTS = 50  # of the slowest mode in a record, below which intervals ar
 
 
 def trusted(fit, experiment, sampled, parameters, settings, opinion):
-    """Standard deviations of a fit that hold even if its residuals are not white noise.
+    """The Uncertainty of a fit that holds even if its residuals are not white noise.
 
-    Parameters
-    ----------
-    fit : Fit
-    experiment : Experiment
-    sampled : SampleModel
-        The fitted model.
-    parameters : ndarray
-        All of the form.
-    settings : MatchSettings
-    opinion : Opinion or None
-        The second opinion of the record.
-
-    Returns
-    -------
-    trust : Uncertainty
-        Covariance of the structure's parameters, then of free delays; no model yet.
+    ``sampled`` is the fitted model, ``parameters`` are all of the form, and the opinion is the
+    second one of the record, or None. The covariance is that of the structure's parameters, then
+    of free delays; there is no model yet.
     """
     result, places = fit.result, fit.places
     exponents, slopes = exponent_slopes(fit.form, parameters)
@@ -202,10 +189,9 @@ def _doubt(exponents, std, opinion, systematic):
 
 def _warn_of_steps(result, settings, exponents, moves, std, part, omega):
     """Warn of a search that stopped where another step would change the model."""
-    n, steps = len(exponents), np.zeros(0)
     if result.converged:
         return
-    deviations = np.concatenate([std.real, std.imag])
+    n, deviations = len(exponents), np.concatenate([std.real, std.imag])
     with np.errstate(divide="ignore", invalid="ignore"):
         steps = np.where(moves == 0.0, 0.0, np.abs(moves) / deviations)
     steps = np.where(np.tile(lasting(exponents, omega), 2), steps, 0.0)

@@ -18,6 +18,7 @@ from sklearn_hd._opinion import (
     unchanging,
     what_it_has,
 )
+from sklearn_hd._readings import highest_harmonic
 from sklearn_hd._records.data import input_scale, observations, output_scale, scaled_outputs
 from sklearn_hd.algorithms.linalg.rounding import EPS
 from sklearn_hd.algorithms.lti.simulation import continuous_poles
@@ -48,34 +49,16 @@ RIVAL_SHARE = 0.05  # a set that explains as much within this share is a rival
 
 @dataclass(frozen=True)
 class IdentifiedModes:
-    """The modes of an identified model, and what can be said of them without the data.
+    """The n modes of an identified model, and what can be said of them without the data."""
 
-    Parameters
-    ----------
-    z : complex ndarray, shape (n,)
-        Eigenvalues of the discrete A.
-    exponents : complex ndarray, shape (n,)
-        1/s.
-    shapes : complex ndarray, shape (n, n_coefficients)
-        Output vectors.
-    families : ndarray of int, shape (n,)
-        Number of the Floquet family, -1 of the window's memory.
-    window, wild : ndarray of bool, shape (n,)
-        The window's memory; modes that turn or grow too fast to be the system's own.
-    whole : ndarray of int, shape (n,)
-        Number of the family of a pole whose copies are all there, -1 of others.
-    omega : float
-        Fundamental frequency, rad/s; zero where there is none.
-    """
-
-    z: np.ndarray
-    exponents: np.ndarray
-    shapes: np.ndarray
-    families: np.ndarray
-    window: np.ndarray
-    wild: np.ndarray
-    whole: np.ndarray
-    omega: float
+    z: np.ndarray  # eigenvalues of the discrete A
+    exponents: np.ndarray  # 1/s
+    shapes: np.ndarray  # output vectors, (n, n_coefficients)
+    families: np.ndarray  # number of the Floquet family, -1 of the window's memory
+    window: np.ndarray  # whether it is the window's memory
+    wild: np.ndarray  # whether it turns or grows too fast to be the system's own
+    whole: np.ndarray  # number of the family of a pole whose copies are all there, -1 of others
+    omega: float  # fundamental frequency, rad/s; zero where there is none
 
     @property
     def units(self):
@@ -108,28 +91,15 @@ class IdentifiedModes:
 class ModeChoice:
     """The modes to keep, and what speaks for other ones.
 
-    Parameters
-    ----------
-    units : list of tuple of int
-        Real poles and pairs that are kept.
-    rivals : list of list of tuple of int
-        Sets of as many states that explain the data as well.
-    tried : list of (float, list of tuple of int)
-        The best set of each size, and the sum of squares that it leaves.
-    left_out : float
-        Share of what ``units`` leave unexplained that all modes would explain.
-    by_family : bool
-        Whether complete families were found.
-    total : float
-        Sum of squares of the outputs, each divided by its scale.
+    A unit is a real pole or a pair: a tuple of the places of its modes.
     """
 
-    units: list
-    rivals: list
-    tried: list
-    left_out: float
-    by_family: bool
-    total: float
+    units: list  # that are kept
+    rivals: list  # sets of as many states that explain the data as well, lists of units
+    tried: list  # (sum of squares that is left, units) of the best set of each size
+    left_out: float  # share of what the units leave unexplained that all modes would explain
+    by_family: bool  # whether complete families were found
+    total: float  # sum of squares of the outputs, each divided by its scale
 
     @property
     def doubtful(self):
@@ -152,8 +122,7 @@ def identified_modes(model, experiment):
     families[~window] = floquet_families(z[~window], basis.rows_per_period, FAMILY_TOLERANCE)
     # a coefficient of harmonic k turns by less than half the way to the next: members further
     # out are copies
-    highest = max(k for _, orders in basis.outputs for k in orders)
-    wild |= np.abs(exponents.imag) > (highest + 0.5) * basis.omega
+    wild |= np.abs(exponents.imag) > (highest_harmonic(basis.outputs) + 0.5) * basis.omega
     whole = _whole_families(z, np.flatnonzero(~window), basis)
     return IdentifiedModes(z, exponents, shapes, families, window, wild, whole, basis.omega)
 
@@ -161,17 +130,7 @@ def identified_modes(model, experiment):
 def choose_modes(modes, experiment, n_states=None):
     """The smallest set of modes that explains the raw signals as well as all of them do.
 
-    Parameters
-    ----------
-    modes : IdentifiedModes
-    experiment : Experiment
-    n_states : int, optional
-        The best set of so many states instead.
-
-    Raises
-    ------
-    ValueError
-        If no set of modes has ``n_states``, or none is left to choose from.
+    With ``n_states`` the best set of so many states instead. Raises ValueError if there is none.
     """
     units = modes.units
     family = {unit: modes.whole[unit[0]] for unit in units if (modes.whole[list(unit)] >= 0).all()}
@@ -218,14 +177,8 @@ def without_trifles(rankings, nothing):
     """The ranking of the smallest size that leaves next to nothing; else that of the largest.
 
     Poles that are a little off leave a trace, which more modes make up for by and by; one of
-    the system's own would lower what is left by decades.
-
-    Parameters
-    ----------
-    rankings : list of list of (float, tuple of int)
-        Of each size in turn, from :func:`best_modes`.
-    nothing : float
-        Sum of squares that is next to nothing.
+    the system's own would lower what is left by decades. The rankings are those of
+    :func:`best_modes` of each size in turn; ``nothing`` is a sum of squares.
     """
     last = rankings[-1] if rankings else []
     small = [r for r in rankings if r and r[0][0] <= nothing]
@@ -265,19 +218,9 @@ def _instead(modes, choice):
 
 
 def verdicts(modes, choice, opinion=None):
-    """Verdict and reason of each mode.
+    """Verdicts and reasons of the modes; an opinion confirms those kept, or leaves them in doubt.
 
-    Parameters
-    ----------
-    modes : IdentifiedModes
-    choice : ModeChoice
-    opinion : Opinion, optional
-        Which confirms the modes kept, or leaves them in doubt.
-
-    Returns
-    -------
-    verdicts : list of {"window", "ambiguous", "genuine", "second-order", "copy", "weak"}
-    reasons : list of str
+    A verdict is "window", "ambiguous", "genuine", "second-order", "copy" or "weak".
     """
     kept, doubt = modes.mask(choice.units), modes.mask(choice.doubtful)
     families, exponents = modes.families, modes.exponents
@@ -358,7 +301,6 @@ def _whole_families(z, rest, basis):
 def _regressors(modes, experiment):
     """Triangular factor of the responses of all units beside the raw outputs, and columns."""
     scale = output_scale(experiment)
-    observe = observations(experiment)
     return unit_regressors(
         modes.units,
         modes.exponents,
@@ -366,7 +308,7 @@ def _regressors(modes, experiment):
         [u / input_scale(experiment) for u in experiment.drive],
         scaled_outputs(experiment),
         experiment.base.sample_time,
-        [part / scale[:, None] for part in observe],
+        [part / scale[:, None] for part in observations(experiment)],
     )
 
 

@@ -40,24 +40,13 @@ STEPS = 20  # of the search; a start 0.13 1/s off needs more than 10
 WORTH = 0.01  # variances of the noise that a step has to gain: a tenth of a standard deviation
 
 
-def refined_modes(experiment, exponents, shapes, enough=0.0):
+def refined_modes(experiment, exponents, shapes, enough):
     """A and C of some modes by maximum likelihood, if white noise is all that they leave.
 
-    Parameters
-    ----------
-    experiment : Experiment
-    exponents : complex ndarray, shape (n_units,)
-        1/s; real ones, and one member of each pair.
-    shapes : complex ndarray, shape (n_units, n_coefficients)
-        Output vectors of the modes.
-    enough : float, default=0.0
-        Sum of squares (outputs divided by their scale) that may be left, white or not.
-
-    Returns
-    -------
-    A, C : ndarray
-        None, None where what the modes leave is not white noise: then the model's
-        structure is at fault, and likelihood would make the modes answer for it.
+    None, None where it is not: then the model's structure is at fault, and likelihood would make
+    the modes answer for it. The exponents (n_units,), in 1/s, are real ones and one member of each
+    pair; the shapes (n_units, n_coefficients) are output vectors. ``enough`` is the sum of squares
+    (outputs divided by their scale) that may be left, white or not.
     """
     basis = experiment.basis
     spp, u_scale = basis.samples_per_period, input_scale(experiment)
@@ -81,28 +70,14 @@ def refined_modes(experiment, exponents, shapes, enough=0.0):
 
 
 def most_likely(segments, exponents, C, omega, n_phases, observe=None):
-    """A, C, B and initial states of largest likelihood, A in real blocks of some exponents.
+    """A and C of largest likelihood, and the outputs of the model less those measured.
 
         ẋ = A x + B u,   y = O(ψ) C x
 
-    Parameters
-    ----------
-    segments : list of (inputs, outputs, first_phase)
-        In like units; inputs held from sample to sample.
-    exponents : complex ndarray, shape (n_units,)
-        To start from, 1/s: real ones, and one member of each pair.
-    C : ndarray, shape (n_coefficients, n)
-        To start from.
-    omega : float
-    n_phases : int
-    observe : ndarray, shape (n_phases, l, n_coefficients), optional
-        O at each phase.
-
-    Returns
-    -------
-    A, C : ndarray
-    left : ndarray, shape (n_samples, l)
-        The outputs of the model less those measured.
+    Starts from exponents (n_units,), in 1/s, real ones and one member of each pair, of which A is
+    made in real blocks, and from C (n_coefficients, n). Segments are (inputs, outputs, first
+    phase) in like units, inputs held from sample to sample; ``observe`` is O at each phase,
+    (n_phases, l, n_coefficients).
     """
     A, m = real_block(exponents), segments[0][0].shape[1]
     n, size = len(A), sum(y.size for _, y, _ in segments)
@@ -139,35 +114,16 @@ def _modal_structure(exponents, shape):
 
 @dataclass(frozen=True, eq=False)
 class Reduction:
-    """What is kept of a model, and why.
-
-    Attributes
-    ----------
-    model : LTIModel
-    modes : tuple of (exponents, families, verdicts, reasons)
-        Of every mode identified.
-    r2 : float
-        Of the fit to the raw record; NaN where nothing was fitted.
-    left_out : float
-        Share of what is left unexplained that all modes would explain.
-    """
+    """What is kept of a model, and why."""
 
     model: LTIModel
-    modes: tuple
-    r2: float = np.nan
-    left_out: float = 0.0
+    modes: tuple  # exponents, families, verdicts and reasons of every mode identified
+    r2: float = np.nan  # of the fit to the raw record; NaN where nothing was fitted
+    left_out: float = 0.0  # share of what is left unexplained that all modes would explain
 
 
 def reduced(model, experiment, method, n_states=None):
-    """The reduction of a model to its genuine part, in continuous time.
-
-    Parameters
-    ----------
-    model : LTIModel
-    experiment : Experiment
-    method : {"truncate", "residualize", "both"}
-    n_states : int, optional
-    """
+    """The Reduction of a model to its genuine part, in continuous time."""
     reason = "already continuous" if model.dt == 0.0 else experiment.basis.nothing_spurious
     if reason is not None:
         return _passed(model, n_states, reason)

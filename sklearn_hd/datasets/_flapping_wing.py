@@ -1,7 +1,7 @@
 """Records of the flapping wing, as an experiment on the paper's vehicle would give them."""
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 import pandas as pd
@@ -240,7 +240,7 @@ class _Truth:
         return self.A.loc[states, states].copy(), self.B.loc[states, [part.input]].copy()
 
 
-@lru_cache(maxsize=1)
+@cache
 def _truth():
     return _Truth()
 
@@ -265,15 +265,23 @@ def _lti_signal_response(truth, part, du, t):
 
 def _ltp_response(truth, part, du, t):
     ltp = truth.ltp
-    G = _Modulated(ltp.G, part.modulation)
+
+    def G(psi):
+        return ltp.G(psi) * recompose(part.modulation, psi, [0, 1])[:, None, None]
+
     driven = LTPSystem(ltp.F, G, omega=ltp.omega)
     return _raw_input(part, du, ltp.omega * t), driven.simulate(du[..., None], t), 0.0, 0.0
 
 
 def _nltp_response(truth, part, du, t):
     system, trim = truth.system, truth.trim
+    mean, cosine, _ = part.modulation
+
+    def f(x, u, t):
+        return system.f(x, truth.torque + u * (mean + cosine * np.cos(system.omega * t)), t)
+
     driven = PeriodicSystem(
-        _ModulatedRates(system.f, truth.torque, system.omega, part.modulation),
+        f,
         period=system.period,
         state_names=system.state_names,
         input_names=system.input_names,
@@ -293,28 +301,7 @@ _RESPONSES = {
 
 def _raw_input(part, du, psi):
     """ΔU at the samples: the amplitude times 1 or cos ψ."""
-    return (du * recompose(np.array(part.modulation), psi, [0, 1]))[..., None]
-
-
-class _Modulated:
-    """G(ψ) times a harmonic function."""
-
-    def __init__(self, matrix, modulation):
-        self.matrix, self.modulation = matrix, np.array(modulation)
-
-    def __call__(self, psi):
-        return self.matrix(psi) * recompose(self.modulation, psi, [0, 1])[:, None, None]
-
-
-class _ModulatedRates:
-    """f(x, U* + ΔU·(1 or cos ωt), t)."""
-
-    def __init__(self, f, torque, omega, modulation):
-        self.f, self.torque, self.omega, self.modulation = f, torque, omega, modulation
-
-    def __call__(self, x, u, t):
-        mean, cosine, _ = self.modulation
-        return self.f(x, self.torque + u * (mean + cosine * np.cos(self.omega * t)), t)
+    return (du * recompose(part.modulation, psi, [0, 1]))[..., None]
 
 
 # ---- inputs: changes ΔU of shape (records, samples) ------------------------------------------

@@ -1,7 +1,7 @@
 """Records of a hovering hawkmoth, which needs its feedback to hover."""
 
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 from sklearn.utils import Bunch, check_random_state
@@ -174,22 +174,16 @@ def make_hawkmoth(
     )
 
 
-class _Truth:
-    """The moth, its trim and its linear model; and the same moth in wind."""
-
-    def __init__(self):
-        self.system = hawkmoth()
-        self.trim = self.system.trim(TRIM_HARMONICS)
-        self.ltp = self.system.linearize(self.trim)
-        self.exponents = self.ltp.floquet_exponents()
-        windy = hawkmoth(extra_inputs=GUSTS)
-        calm = np.append(self.trim.inputs, np.zeros(len(GUSTS)))
-        self.windy = windy, replace(self.trim, inputs=calm, input_names=windy.input_names)
-
-
-@lru_cache(maxsize=1)
+@cache
 def _truth():
-    return _Truth()
+    """The moth, its trim and its linear model; and the same moth in wind."""
+    system, windy = hawkmoth(), hawkmoth(extra_inputs=GUSTS)
+    trim = system.trim(TRIM_HARMONICS)
+    ltp = system.linearize(trim)
+    inputs = np.append(trim.inputs, np.zeros(len(GUSTS)))
+    calm = replace(trim, inputs=inputs, input_names=windy.input_names)
+    exponents = ltp.floquet_exponents()
+    return Bunch(system=system, trim=trim, ltp=ltp, exponents=exponents, windy=(windy, calm))
 
 
 def _flights(loop, v, wind, noise, rng):

@@ -3,13 +3,12 @@
 import inspect
 
 import numpy as np
-import pandas as pd
 from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline
 from sklearn.utils.metadata_routing import MetadataRequest
 
 from sklearn_hd._checks import check_count, check_weight
-from sklearn_hd._containers import as_container, to_float
+from sklearn_hd._containers import as_container, is_pandas, to_float
 from sklearn_hd._model_step import ModelStep
 from sklearn_hd._simulators import compared, power_of_two
 
@@ -236,7 +235,7 @@ def _check_comparable(truth, predicted):
             f"y_true has shape {truth.shape} and y_pred {predicted.shape}; give the same rows and "
             f"outputs of both"
         )
-    both = all(isinstance(data, pd.DataFrame | pd.Series) for data in (truth, predicted))
+    both = is_pandas(truth) and is_pandas(predicted)
     if both and not truth.index.equals(predicted.index):
         raise ValueError("y_true and y_pred have different indices; align them first")
 

@@ -1,12 +1,11 @@
 """Folds of blocks of rows, or of whole periods."""
 
 import numpy as np
-import pandas as pd
 from sklearn.model_selection import BaseCrossValidator
 
 from sklearn_hd._checks import FIRST, PERIOD_TOLERANCE, check_count, check_phase, check_span
 from sklearn_hd._clock import read_time
-from sklearn_hd._containers import as_container, keeps_times
+from sklearn_hd._containers import as_container, is_pandas, keeps_times
 from sklearn_hd._records.data import read_azimuth
 from sklearn_hd.algorithms.signals.resampling import unwrap
 
@@ -131,7 +130,7 @@ class BlockSplit(BaseCrossValidator):
             for rows, _ in base.rows_of_records():
                 own = units[rows][tested[rows]]
                 away[rows] &= (units[rows] < own[0] - gap) | (units[rows] > own[-1] + gap)
-            if not _has_times(X):
+            if not is_pandas(X):  # whose index shows the hole to model steps
                 away = _longer_side(away)
             if np.sum(share[away]) < 1.0 - share.max() + SAME_TURN:
                 raise ValueError(
@@ -285,7 +284,7 @@ class PeriodBlockSplit(BlockSplit):
         if self.trim_span is None:
             return np.zeros(len(base.time), dtype=bool)
         start, stop = check_span("trim_span", self.trim_span)
-        if not _has_times(X):
+        if not is_pandas(X):
             raise ValueError(
                 f"trim_span={self.trim_span} stays in the training rows of every fold, but X is an "
                 f"array without times, so its rows would close up over the gap between them; give "
@@ -294,11 +293,6 @@ class PeriodBlockSplit(BlockSplit):
             )
         tolerance = 0.5 * base.sample_time
         return (base.time >= start - tolerance) & (base.time < stop - tolerance)
-
-
-def _has_times(X):
-    """Whether rows taken out of X leave a hole that model steps can see."""
-    return isinstance(X, pd.DataFrame | pd.Series)
 
 
 def _longer_side(away):

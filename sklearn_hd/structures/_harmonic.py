@@ -255,12 +255,12 @@ class HarmonicStructure(Structure):
         corners = {"F": (0, 0), "G": (0, n), "P": (n, 0), "Q": (n, n)}
         for name, label in ((name, label) for name, part in cells.items() for label in part):
             (top, left), (rows, columns) = corners[name], sides[name]
+            named, own = name_places(cells[name][label], name, rows, columns, f"_{label}")
+            places |= own
             for i, j in np.ndindex(len(rows), len(columns)):
-                place, cell = f"{name}[{rows[i]},{columns[j]}]_{label}", cells[name][label][i][j]
                 at = place_of(label), top + i, left + j
-                places[place] = (0.0, ((place, 1.0),)) if cell == FREE else cell
-                constant[at] = places[place][0]
-                for parameter, scale in places[place][1]:
+                constant[at], terms = named[i][j]
+                for parameter, scale in terms:
                     known[parameter] = True
                     if parameter in self._fixed:
                         constant[at] += scale * self._fixed[parameter]

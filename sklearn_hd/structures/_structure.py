@@ -33,7 +33,7 @@ _CAPTION = ' style="caption-side:top; text-align:center"'
 _ROW = ' style="display:flex; flex-wrap:wrap; gap:1.5em; align-items:flex-start"'
 
 
-def read_cells(name, matrix, rows=None, columns=None, tail=""):
+def read_cells(name, matrix, rows, columns, tail=""):
     """Tuples of the cells of a matrix, row by row; its rows and columns may have names."""
     matrix = np.asarray(matrix, dtype=object)
     rows = range(matrix.shape[0]) if rows is None else rows
@@ -159,7 +159,7 @@ def _scaled(value, factor, operation):
     return operation(value[0], factor), terms
 
 
-def name_places(cells, head, rows=None, columns=None, tail=""):
+def name_places(cells, head, rows, columns, tail=""):
     """The same cells, nameless parameters called after their place, and the cell at each place."""
     rows = range(len(cells)) if rows is None else rows
     named, places = [], {}

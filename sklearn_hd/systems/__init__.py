@@ -12,12 +12,7 @@ from sklearn_hd.systems.load import load_model
 from sklearn_hd.systems.ltp import LTPSystem
 from sklearn_hd.systems.openfast import OpenFASTLinearization, read_openfast_lin
 from sklearn_hd.systems.periodic import PeriodicSystem, Trim
-from sklearn_hd.systems.textbook import (
-    coupled_oscillators,
-    duffing,
-    flapping_blade,
-    mathieu,
-)
+from sklearn_hd.systems.textbook import coupled_oscillators, duffing, flapping_blade, mathieu
 from sklearn_hd.systems.turbines import multiblade_model, rotor_system
 
 __all__ = [

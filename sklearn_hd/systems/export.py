@@ -121,13 +121,9 @@ def lti_contents(model):
 
 
 def write(contents, path):
-    """Write the contents of a model, by name, to a file; its suffix sets the format.
+    """Write the contents of a model to a file, whose suffix sets the format.
 
-    Parameters
-    ----------
-    contents : dict
-        Of texts, numbers, sequences of names, and arrays.
-    path : str or path-like
+    They are texts, numbers, sequences of names, and arrays, each by its name.
     """
     path = path_to_write(path, "model.json")
     kinds = {".json": _write_json, ".mat": _write_mat}

@@ -283,10 +283,9 @@ def hawkmoth(
     >>> system.linearize(trim).floquet_exponents().round(2).tolist()
     [(0.95-5.67j), (0.95+5.67j), (-2.56+0j), (-9.72+0j)]
     """
-    hint = "the moth has none without it"
     check_numbers(
         "positive",
-        hint,
+        "the moth has none without it",
         mass=mass,
         pitch_inertia=pitch_inertia,
         wing_length=wing_length,

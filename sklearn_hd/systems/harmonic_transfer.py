@@ -12,14 +12,13 @@ from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_hd._checks import (
     check_count,
-    check_finite,
     check_fraction,
     check_frequencies,
     check_period,
     check_positive,
     check_same_rows,
-    check_size,
     check_time_origin,
+    check_values,
     signal_names,
 )
 from sklearn_hd._clock import read_time
@@ -34,7 +33,7 @@ from sklearn_hd.algorithms.periodic.harmonic_transfer import (
     segment_plan,
 )
 from sklearn_hd.algorithms.signals.fourier import times_near_zero_phase
-from sklearn_hd.systems.arguments import matrix_coefficients, precision
+from sklearn_hd.systems.arguments import precision
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,13 +211,8 @@ def model_response(system, frequencies, N, sample_time, tolerance, max_internal_
 def _continuous(system, frequencies, N, tolerance, max_harmonics):
     hint = f"it must exceed n_harmonics={N} by enough to converge"
     check_count("max_internal_harmonics", max_harmonics, N + 1, hint)
-
-    def coefficients(k):
-        matrices = (system.F, system.G, system.P, system.Q)
-        return tuple(matrix_coefficients(M, k) for M in matrices)
-
     response, change = harmonic_transfer(
-        coefficients, system.omega, frequencies, N, tolerance, max_harmonics
+        system.fourier_coefficients, system.omega, frequencies, N, tolerance, max_harmonics
     )
     if change > tolerance:
         warn(
@@ -236,13 +230,8 @@ def _held(system, frequencies, N, sample_time):
     dt = check_positive("sample_time", sample_time, "seconds", hint)
     S = check_period(system.omega, dt, N)
     psi = 2.0 * np.pi * np.arange(S + 1) / S
-    Phi, Gamma = transition_matrices(
-        system.F,
-        system.G,
-        psi,
-        system.omega,
-        tolerance=precision(system.F, system.G),
-    )
+    tolerance = precision(system.F, system.G)
+    Phi, Gamma = transition_matrices(system.F, system.G, psi, system.omega, tolerance=tolerance)
     P, Q = system.P(psi[:-1]), system.Q(psi[:-1])
     return held_harmonic_transfer(Phi, Gamma, P, Q, frequencies, dt, N)
 
@@ -389,9 +378,7 @@ def _check_window(window):
 def _signals(data, what, base):
     """Values of shape (n_rows, n_signals) and their names."""
     names = signal_names(data, what)
-    values = to_float(data, what)
-    check_finite(values, names, base.time, what)
-    return check_size(values, names, what), names
+    return check_values(to_float(data, what), names, base.time, what), names
 
 
 def _segment_length(lengths, samples_per_period, n_unknowns, periods, window, overlap):

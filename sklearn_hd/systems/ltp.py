@@ -10,7 +10,6 @@ from sklearn_hd._checks import check_count, check_flag, check_numbers, check_pos
 from sklearn_hd._guards import within_range
 from sklearn_hd.algorithms.periodic import floquet
 from sklearn_hd.algorithms.periodic import harmonic_decomposition as hd
-from sklearn_hd.algorithms.periodic.floquet import floquet_exponents
 from sklearn_hd.algorithms.signals.fourier import times_near_zero_phase
 from sklearn_hd.systems.arguments import (
     NamedSignals,
@@ -79,16 +78,7 @@ class LTPSystem(NamedSignals):
     """
 
     def __init__(
-        self,
-        F,
-        G,
-        P=None,
-        Q=None,
-        *,
-        omega,
-        state_names=None,
-        input_names=None,
-        output_names=None,
+        self, F, G, P=None, Q=None, *, omega, state_names=None, input_names=None, output_names=None
     ):
         self.omega = check_positive("omega", omega, "rad/s", "it is 2π over the period in seconds")
         self.F, (n, columns) = periodic_matrix(F, "F")
@@ -115,22 +105,14 @@ class LTPSystem(NamedSignals):
     @classmethod
     @within_range
     def from_harmonic_decomposition(
-        cls,
-        model,
-        omega,
-        *,
-        state_names=None,
-        input_names=None,
-        output_names=None,
-        tolerance=0.1,
+        cls, model, omega, *, state_names=None, input_names=None, output_names=None, tolerance=0.1
     ):
         """Periodic system whose harmonic decomposition is a given model.
 
             F, G, P, Q = arg min ‖[A + ωN, B; C, D] − [T(F), T(G); T(P), T(Q)]‖
 
         This is the inverse of :meth:`harmonic_decomposition`. It returns the Fourier coefficients
-        of
-        F up to harmonic 2 N, of G up to N + M, of P up to L + N and of Q up to L + M.
+        of F up to harmonic 2 N, of G up to N + M, of P up to L + N and of Q up to L + M.
 
         Parameters
         ----------
@@ -242,8 +224,7 @@ class LTPSystem(NamedSignals):
         ValueError
             If F exceeds the range of floating-point numbers.
         """
-        tolerance = precision(self.F)
-        return floquet_exponents(self.F, self.omega, tolerance=tolerance)
+        return floquet.floquet_exponents(self.F, self.omega, tolerance=precision(self.F))
 
     @within_range
     def harmonic_decomposition(self, n_harmonics, n_input_harmonics=None, n_output_harmonics=None):
@@ -379,7 +360,9 @@ class LTPSystem(NamedSignals):
         Society Forum 65 (2009).
         """
         N, n = _check_harmonics("n_harmonics", n_harmonics), self.n_states
-        eigenvalues, vectors = linalg.eig(self._hd_matrix(N))
+        F = matrix_coefficients(self.F, 2 * N)
+        A = hd.toeplitz_matrix(F, N, N) - hd.derivative_matrix(N, n, self.omega)
+        eigenvalues, vectors = linalg.eig(A)
         distance = np.abs(self.floquet_exponents()[:, None] - eigenvalues)
         base = linear_sum_assignment(distance)[1]
         sizes = hd.harmonic_sizes(vectors[:, base].reshape(2 * N + 1, n, n))
@@ -557,12 +540,6 @@ class LTPSystem(NamedSignals):
             Number of azimuths per period at which the matrices are also tabulated.
         """
         export_model(self, path, n_phases=n_phases)
-
-    def _hd_matrix(self, n_harmonics):
-        F = matrix_coefficients(self.F, 2 * n_harmonics)
-        return hd.toeplitz_matrix(F, n_harmonics, n_harmonics) - hd.derivative_matrix(
-            n_harmonics, self.n_states, self.omega
-        )
 
 
 def _check_harmonics(name, value):

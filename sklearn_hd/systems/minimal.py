@@ -191,24 +191,11 @@ def _without_twins(model, signals):
 
 
 def read_decomposition(model, omega, names, tolerance):
-    """Fourier coefficients and names of the periodic system behind a decomposition.
+    """Fourier coefficients of F, G, P and Q, and names, of the system behind a decomposition.
 
-    Parameters
-    ----------
-    model : control.StateSpace
-    omega : float
-        rad/s.
-    names : dict
-        ``state_names``, ``input_names``, ``output_names``: signals in the paper's order, or None
-        if the labels of the model name them.
-    tolerance : float
-        Largest relative misfit.
-
-    Returns
-    -------
-    matrices : list of ndarray
-        Coefficients of F, G, P and Q.
-    names : dict
+    ``names`` holds ``state_names``, ``input_names`` and ``output_names``: signals in the paper's
+    order, or None if the labels of the model name them. The tolerance is the largest relative
+    misfit.
     """
     omega = check_positive("omega", omega, "rad/s", "it is 2π over the period in seconds")
     check_fraction("tolerance", tolerance, "0.1 is usual")

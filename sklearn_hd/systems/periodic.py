@@ -312,14 +312,7 @@ class PeriodicSystem(NamedSignals):
         F, G, P, Q = (OrbitMatrix(jacobian, trim, which) for which in range(4))
         if self.g is None:
             P, Q = None, None
-        return LTPSystem(
-            F,
-            G,
-            P,
-            Q,
-            omega=self.omega,
-            **self._names(),
-        )
+        return LTPSystem(F, G, P, Q, omega=self.omega, **self._names())
 
     def simulate(self, u, t, x0=None, *, rtol=1e-12, atol=1e-13, return_states=False):
         """Outputs at the sample times, u held between them, by error-controlled steps.

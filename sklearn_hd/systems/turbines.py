@@ -70,10 +70,8 @@ def multiblade_model(linearizations, *, inputs=None, outputs=None):
     >>> print(f"{omega[k] / (2 * np.pi):.5f} Hz, {100 * zeta[k]:.4f} %")
     0.31403 Hz, 0.4386 %
     """
-    files, rotor_speed, frame = _checked(linearizations)
-    psi = np.array([file.azimuth for file in files])
-    fixed = to_multiblade(_stacked(files), psi, rotor_speed, frame)
-    first = files[0]
+    first, psi, matrices, rotor_speed, frame = _checked(linearizations)
+    fixed = to_multiblade(matrices, psi, rotor_speed, frame)
     names = [
         _multiblade_names(table.index, triplets)
         for table, triplets in (
@@ -148,28 +146,17 @@ def rotor_system(
     check_choice("coordinates", coordinates, ("multiblade", "rotating"))
     K = check_count("n_harmonics", n_harmonics, 0, "0 keeps the mean alone")
     turned = coordinates == "multiblade"
-    files, rotor_speed, frame = _checked(linearizations, turned)
-    psi = np.array([file.azimuth for file in files])
-    matrices = _stacked(files)
+    first, psi, matrices, rotor_speed, frame = _checked(linearizations, turned)
     if turned:
         matrices = to_multiblade(matrices, psi, rotor_speed, frame)
     series = _fitted(matrices, psi, blade_harmonics(K) if turned else list(range(K + 1)))
     if turned:
         series = from_multiblade(series, rotor_speed, frame)
-    first = files[0]
     names = [list(table.index) for table in (first.states, first.inputs, first.outputs)]
     loose = _loose(first, frame) if turned else set()
     F, G, P, Q, inputs, outputs = _chosen(series, names, inputs, outputs, loose)
-    return LTPSystem(
-        F,
-        G,
-        P,
-        Q,
-        omega=rotor_speed,
-        state_names=names[0],
-        input_names=inputs,
-        output_names=outputs,
-    )
+    signals = {"state_names": names[0], "input_names": inputs, "output_names": outputs}
+    return LTPSystem(F, G, P, Q, omega=rotor_speed, **signals)
 
 
 # ---- blades --------------------------------------------------------------------------------------
@@ -244,7 +231,7 @@ def _multiblade_names(names, triplets):
 
 
 def _checked(linearizations, blades=True):
-    """The files as a list, their rotor speed, and the signals that turn with the blades."""
+    """The first file, azimuths and A, B, C, D of all, rotor speed, signals that turn (or None)."""
     files = list(linearizations) if np.iterable(linearizations) else [linearizations]
     if not files or not all(isinstance(file, OpenFASTLinearization) for file in files):
         raise ValueError(
@@ -263,11 +250,10 @@ def _checked(linearizations, blades=True):
             f"the rotor speeds of the files lie between {speeds.min():g} and {speeds.max():g} "
             f"rad/s; give one operating point at several azimuths"
         )
-    return files, float(speeds.mean()), _frame(files[0]) if blades else None
-
-
-def _stacked(files):
-    return tuple(np.stack([getattr(file, name) for file in files]) for name in "ABCD")
+    frame = _frame(files[0]) if blades else None
+    psi = np.array([file.azimuth for file in files])
+    matrices = tuple(np.stack([getattr(file, name) for file in files]) for name in "ABCD")
+    return files[0], psi, matrices, float(speeds.mean()), frame
 
 
 def _fitted(matrices, psi, harmonics):
@@ -300,9 +286,9 @@ def _chosen(matrices, names, inputs, outputs, loose):
     D = np.pad(D, ((0, 0), (0, n), (0, n)))
     rates = _rates(names[0])
     allowed = [*names[1], *(name if name in rates else None for name in names[0])]
-    columns = _places("inputs", inputs, m, allowed, loose)
-    rows = _places("outputs", outputs, n_outputs, [*names[2], *names[0]], loose)
     labels = [*names[2], *names[0]]
+    columns = _places("inputs", inputs, m, allowed, loose)
+    rows = _places("outputs", outputs, n_outputs, labels, loose)
     return (
         A,
         B[:, :, columns],
