@@ -10,7 +10,6 @@ from html import escape
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from scipy.stats import norm
 from sklearn.base import clone
 from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import check_is_fitted
@@ -28,12 +27,10 @@ from sklearn_hd.harmonics import HarmonicAnalyzer
 from sklearn_hd.matching import StructuredMatcher
 from sklearn_hd.model_selection._scorers import last_model_step
 from sklearn_hd.plotting import ResidualDisplay
-from sklearn_hd.plotting._display import find_step, steps_of
+from sklearn_hd.plotting._display import REACH, find_step, steps_of
 from sklearn_hd.reduction import SpuriousModeReducer
 from sklearn_hd.subspace import MOESPRegressor
 
-LEVEL = 0.95
-REACH = norm.ppf(0.5 + 0.5 * LEVEL)  # standard deviations to either side
 HARMLESS = (  # of how rows were read, and of coordinates
     "CoordinatesWarning",
     "TimeBaseWarning",

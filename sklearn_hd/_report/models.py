@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pandas as pd
 
-from sklearn_hd._report.facts import LEVEL, REACH, exponents_of, motion_table
+from sklearn_hd._report.facts import exponents_of, motion_table
 from sklearn_hd._report.page import attempt, digits, facts_table, figure, line, table, with_reach
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.algorithms.signals.fourier import harmonic_labels
@@ -15,6 +15,7 @@ from sklearn_hd.plotting import (
     PeriodicMatrixDisplay,
     SingularValueDisplay,
 )
+from sklearn_hd.plotting._display import LEVEL, REACH
 
 MOST_ROWS = 60  # of a table of parameters
 MOST_STATES = 20  # whose matrices are shown

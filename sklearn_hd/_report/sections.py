@@ -15,7 +15,6 @@ from sklearn_hd._containers import without_inputs
 from sklearn_hd._model_step import ModelStep
 from sklearn_hd._report import models
 from sklearn_hd._report.facts import (
-    REACH,
     Run,
     doubts,
     doubts_box,
@@ -32,7 +31,7 @@ from sklearn_hd.plotting import (
     HarmonicsDisplay,
     ResponseDisplay,
 )
-from sklearn_hd.plotting._display import Record
+from sklearn_hd.plotting._display import REACH, Record
 
 READINGS = {
     "sliding": "sliding: Fourier coefficients through a window that slides over the record",

@@ -14,6 +14,7 @@ from sklearn_hd.plotting._display import (
     check_periodic,
     complex_number,
     dress,
+    grid_of,
     line_styles,
     looks,
     periodic_system,
@@ -115,8 +116,8 @@ class ParticipationDisplay(Display, axes="one Axes a state"):
         known = set(self.shares.columns)
         modes = [z for z in self.shares if z.imag >= 0.0 or z.conjugate() not in known]
         names = self._names(modes)
-        columns = min(len(states), 2 if len(states) <= 4 else 3 if len(states) <= 9 else 4)
-        rows = -(-len(states) // columns)
+        most = 2 if len(states) <= 4 else 3 if len(states) <= 9 else 4
+        rows, columns = grid_of(len(states), most=most)
         size = max(4.2, 3.5 * columns), 0.7 + 2.5 * rows
         cells = places(len(states), columns)
         panels = self._panels(ax, size, cells, share_x="all", share_y="all")

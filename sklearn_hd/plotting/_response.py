@@ -215,7 +215,7 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output, or t
             segments=_runs(rows),
             validation_span=validation_span,
             axis=whole.axis,
-            title=None if whole.label is None else f"record {whole.label}",
+            title=whole.title,
             loads=periodic[first] if loads else None,
             motion=motion,
         )
@@ -270,7 +270,7 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output, or t
             segments=whole.segments,
             validation_span=validation_span,
             axis=whole.axis,
-            title=None if whole.label is None else f"record {whole.label}",
+            title=whole.title,
             measured_name=measured_name,
         )
         return display.plot(ax=ax, span=span, units=units)
@@ -351,11 +351,8 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output, or t
         self.validation_fit_ = fits(inside) if inside.any() else None
 
     def _draw(self, name, axis, span, units):
-        time = self.measured.index.to_numpy()
-
         def line(table, style):
-            t, values = unbroken(time, table[name].to_numpy(), self.segments, span)
-            return axis.plot(t, values, **style)[0]
+            return axis.plot(*unbroken(table[name], self.segments, span), **style)[0]
 
         style = REFERENCE | {"lw": 2.6, "label": self.measured_name}
         self.measured_lines_[name] = line(self.measured, style)
@@ -367,10 +364,10 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output, or t
         dress(axis, y=with_unit(name, units), title=self._words(name), small=small)
 
     def _draw_parts(self, name, axis, span, units):
-        time, sizes = self.measured.index.to_numpy(), []
+        sizes = []
         for (what, table), look in zip(self.parts_.items(), looks(LINES[1:], 3), strict=True):
-            t, values = unbroken(time, table[name].to_numpy(), self.segments, span)
-            self.part_lines_[what, name] = axis.plot(t, values, **look | {"label": what})[0]
+            line = unbroken(table[name], self.segments, span)
+            self.part_lines_[what, name] = axis.plot(*line, **look | {"label": what})[0]
             sizes.append(number(float(f"{np.std(table[name]):.2g}")))
         words = "std: loads {}, inputs {}, residual {}".format(*sizes)
         small = len(self.measured.columns) > 3
