@@ -48,21 +48,11 @@ UNSURE = ("ambiguous", "second-order")
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A free simulation over one record, as ``score`` has it.
+    """A free simulation over one record, as ``score`` has it."""
 
-    Attributes
-    ----------
-    outputs : DataFrame
-        By output: R², fit in percent, root mean squares of the motion and of the error.
-    n_rows : int
-        Rows compared.
-    reason : str or None
-        Why there is no simulation; then ``outputs`` is empty.
-    """
-
-    outputs: pd.DataFrame
-    n_rows: int
-    reason: str | None = None
+    outputs: pd.DataFrame  # by output: R², fit (%), root mean squares of motion and error
+    n_rows: int  # that were compared
+    reason: str | None = None  # why there is no simulation; then ``outputs`` is empty
 
     @property
     def r2(self):
@@ -98,24 +88,7 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A fitted pipeline by its steps, and the record of its fit.
-
-    Attributes
-    ----------
-    pipe : estimator
-    X, y : as given
-    units : dict
-    last : ModelStep
-    experiment : Experiment
-    analyzer, identifier, reducer, matcher : steps or None
-    residuals : ResidualDisplay or None
-    tests : DataFrame or str
-        Of the residuals, or why there are none.
-    run : Run
-        Over the record of the fit.
-    told : list of (str, str)
-        Names and texts of warnings that were made again.
-    """
+    """A fitted pipeline by its steps, and the record of its fit."""
 
     pipe: object
     X: object
@@ -128,9 +101,9 @@ class Fitted:
     reducer: SpuriousModeReducer | None
     matcher: StructuredMatcher | None
     residuals: ResidualDisplay | None
-    tests: pd.DataFrame | str
-    run: Run
-    told: list
+    tests: pd.DataFrame | str  # of the residuals, or why there are none
+    run: Run  # over the record of the fit
+    told: list  # names and texts of warnings that were made again
 
     @property
     def basis(self):
@@ -154,13 +127,13 @@ def read_fitted(pipe, X, y, units):
         warnings.simplefilter("always")
         experiment = last._experiment(handed, y)
         kinds = HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer, StructuredMatcher
-        analyzer, identifier, reducer, matcher = (find_step(pipe, kind) for kind in kinds)
+        steps = [find_step(pipe, kind) for kind in kinds]
+        analyzer, identifier, reducer, matcher = steps
         _warn_again(pipe, X, y, analyzer, experiment, (reducer or identifier, matcher))
         run = Run.of(last, handed, y, units)
         residuals, tests = _tested(pipe, X, y, units)
-    steps = analyzer, identifier, reducer, matcher
-    found = experiment, *steps, residuals, tests, run, words_of(raised)
-    return Fitted(pipe, X, y, units, last, *found)
+    told = words_of(raised)
+    return Fitted(pipe, X, y, units, last, experiment, *steps, residuals, tests, run, told)
 
 
 def _tested(pipe, X, y, units):
@@ -209,11 +182,7 @@ def motion_table(exponents, std=None):
 
         λ = σ + jΩ,   ζ = −σ / |λ|,   δζ ≤ (Ω² δσ + |σ Ω| δΩ) / |λ|³
 
-    Parameters
-    ----------
-    exponents : complex ndarray, shape (n,)
-    std : complex ndarray, shape (n,), optional
-        Standard deviation of the real part + j times that of the imaginary part.
+    ``std`` has the standard deviation of the real part + j times that of the imaginary part.
     """
     z = np.asarray(exponents, complex)
     order = np.lexsort((z.imag, np.abs(z.imag), -z.real))
@@ -235,13 +204,7 @@ def motion_table(exponents, std=None):
 
 
 def doubts(fitted, validation):
-    """Pairs of a text and the anchor of a section.
-
-    Parameters
-    ----------
-    fitted : Fitted
-    validation : Run or None
-    """
+    """Pairs of a text and the anchor of a section; ``validation`` is a Run, or None."""
     found = [
         (text[:1].upper() + text[1:] + ".", ANCHORS.get(kind, "warnings"))
         for kind, text in fitted.told
@@ -250,22 +213,14 @@ def doubts(fitted, validation):
     found += _of_modes(fitted.reducer)
     found += _of_match(fitted.matcher)
     found += _of_residuals(fitted)
-    for run, what, anchor in (
-        (validation, "the validation record", "validation"),
-        (fitted.run, "the record of the fit", "validation"),
-    ):
+    for run, what in ((validation, "the validation record"), (fitted.run, "the record of the fit")):
         if run is None:
             continue
         if run.reason is not None:
-            found.append((f"{what.capitalize()} was not scored: {run.reason}", anchor))
-        elif not run.r2 >= 0.5:  # it leaves more than it explains
-            found.append(
-                (
-                    f"The simulation of {what} leaves more than it explains: "
-                    f"R² = {digits(run.r2, 3)}.",
-                    anchor,
-                )
-            )
+            found.append((f"{what.capitalize()} was not scored: {run.reason}", "validation"))
+        elif not run.r2 >= 0.5:
+            left = f"leaves more than it explains: R² = {digits(run.r2, 3)}."
+            found.append((f"The simulation of {what} {left}", "validation"))
     return found
 
 
@@ -288,14 +243,12 @@ def _of_residuals(fitted):
         return []
     failed = tests[~tests["passed"]]
     worst = failed["share"].idxmax()
-    return [
-        (
-            f"The residuals are not white noise: {len(failed)} of {len(tests)} tests fail "
-            f"({', '.join(failed.index)}). The test '{worst}' finds "
-            f"{digits(100.0 * failed['share'][worst], 2)} % of their variance to be no noise.",
-            "residuals",
-        )
-    ]
+    text = (
+        f"The residuals are not white noise: {len(failed)} of {len(tests)} tests fail "
+        f"({', '.join(failed.index)}). The test '{worst}' finds "
+        f"{digits(100.0 * failed['share'][worst], 2)} % of their variance to be no noise."
+    )
+    return [(text, "residuals")]
 
 
 def stands(matcher):
@@ -310,14 +263,11 @@ def _of_match(matcher):
         return []
     error, found = matcher.hinf_error_relative_, []
     if error > DOUBT:
-        found.append(
-            (
-                f"The matched model differs from the identified one by {digits(100.0 * error, 3)} "
-                f"% (H∞ norm of the error, relative) at "
-                f"{digits(matcher.peak_frequency_)} rad/s.",
-                "model",
-            )
+        text = (
+            f"The matched model differs from the identified one by {digits(100.0 * error, 3)} % "
+            f"(H∞ norm of the error, relative) at {digits(matcher.peak_frequency_)} rad/s."
         )
+        found.append((text, "model"))
     std = pd.Series(matcher.theta_std_)
     unknown = std.index[np.isinf(std)]
     if len(unknown):

@@ -135,24 +135,18 @@ def model_section(fitted):
         exponents, std = found["eigenvalue"], found["std_real"] + 1j * found["std_imag"]
     else:
         exponents = exponents_of(step)
+    note = f"±: half widths of {LEVEL:.0%} intervals. "
+    if std is None:
+        note = "There are no intervals: only StructuredMatcher(criterion='output_error') and "
+        note += "'prediction_error' have standard deviations. "
     periodic = fitted.basis.harmonic
+    if periodic:
+        note += "Floquet exponents are known but for multiples of jω, and so are frequency and "
+        note += "damping ratio."
     parts += [
         f"<h3>{'Exponents' if periodic else 'Eigenvalues'} of the model</h3>",
-        table(motion_table(exponents, None if std is None else np.asarray(std))),
-        line(
-            (
-                f"±: half widths of {LEVEL:.0%} intervals. "
-                if std is not None
-                else _no_intervals(step)
-            )
-            + (
-                "Floquet exponents are known but for multiples of jω, and so are frequency and "
-                "damping ratio."
-                if periodic
-                else ""
-            ),
-            "note",
-        ),
+        table(motion_table(exponents, std)),
+        line(note, "note"),
         attempt(lambda: _entries(fitted), "The entries of the model are not shown"),
         figure(
             lambda: _picture(fitted),
@@ -161,15 +155,9 @@ def model_section(fitted):
         ),
     ]
     if isinstance(step.model_, SampleModel) and fitted.identifier is not None:
-        parts.append(_loads(fitted))
+        parts.append("<h3>Loads: forced periodic response of the outputs</h3>")
+        parts.append(attempt(lambda: table(fitted.identifier.loads_.T), "The loads are not shown"))
     return "".join(parts)
-
-
-def _no_intervals(step):
-    return (
-        "There are no intervals: only StructuredMatcher(criterion='output_error') and "
-        "'prediction_error' have standard deviations. "
-    )
 
 
 def _match_facts(matcher):
@@ -242,16 +230,12 @@ def _entries(fitted):
 
 def _fourier(periodic):
     """Fourier coefficients of F, G, P and Q, one row an entry."""
-    states, inputs, outputs = periodic.state_names, periodic.input_names, periodic.output_names
-    sides = {"F": (states, states), "G": (states, inputs), "P": (outputs, states)}
-    sides["Q"] = outputs, inputs
+    sides = _sides(periodic.state_names, periodic.input_names, periodic.output_names)
     parts = []
-    for name, M in zip("FGPQ", periodic.matrices(), strict=True):
-        rows, columns = sides[name]
-        labels = [f"{name}[{a},{b}]" for a in rows for b in columns]
+    for name, M, (rows, columns) in zip("FGPQ", periodic.matrices(), sides, strict=True):
         if np.any(M):
-            values = M.reshape(len(M), -1).T
-            parts.append(pd.DataFrame(values, index=labels))
+            labels = [f"{name}[{a},{b}]" for a in rows for b in columns]
+            parts.append(pd.DataFrame(M.reshape(len(M), -1).T, index=labels))
     whole = pd.concat(parts).rename_axis("entry")
     whole.columns = harmonic_labels(range(whole.shape[1] // 2 + 1))
     kept = [c for c in whole.columns if c == "0" or whole[c].any()]
@@ -263,19 +247,15 @@ def _matrices(step):
     system = step.system_
     if system.nstates > MOST_STATES:
         return line(f"The matrices of {system.nstates} states are not shown; see system_.")
-    states, inputs, outputs = system.state_labels, system.input_labels, system.output_labels
-    shapes = {"A": (states, states), "B": (states, inputs), "C": (outputs, states)}
-    shapes["D"] = outputs, inputs
+    sides = _sides(system.state_labels, system.input_labels, system.output_labels)
     parts = [
         f"<h3>{name}</h3>" + table(pd.DataFrame(getattr(system, name), rows, columns))
-        for name, (rows, columns) in shapes.items()
+        for name, (rows, columns) in zip("ABCD", sides, strict=True)
     ]
     clock = f"discrete, sample time {digits(system.dt, 6)} s" if system.dt else "continuous time"
     return line(f"Matrices of system_ ({clock}).") + "".join(parts)
 
 
-def _loads(fitted):
-    """Forced periodic response of a model of samples."""
-    return "<h3>Loads: forced periodic response of the outputs</h3>" + attempt(
-        lambda: table(fitted.identifier.loads_.T), "The loads are not shown"
-    )
+def _sides(states, inputs, outputs):
+    """Names of the rows and columns of F, G, P, Q, or of A, B, C, D."""
+    return (states, states), (states, inputs), (outputs, states), (outputs, inputs)

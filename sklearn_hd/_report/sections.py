@@ -26,11 +26,7 @@ from sklearn_hd._report.page import closed_figures, digits, facts_table, figure,
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.frequency import estimate_omega
 from sklearn_hd.model_selection._scorers import last_model_step
-from sklearn_hd.plotting import (
-    AzimuthDisplay,
-    HarmonicsDisplay,
-    ResponseDisplay,
-)
+from sklearn_hd.plotting import AzimuthDisplay, HarmonicsDisplay, ResponseDisplay
 from sklearn_hd.plotting._display import REACH, Record
 
 READINGS = {
@@ -45,13 +41,9 @@ MOST_DRAWN = 5000  # rows that a picture shows apart, some five for each of its 
 CLOSER = 500  # rows of a longer record that are drawn
 
 
+@closed_figures()
 def whole_page(pipe, X, y, validation, units, title):
     """The report as text of HTML."""
-    with closed_figures():
-        return _written(pipe, X, y, validation, units, title)
-
-
-def _written(pipe, X, y, validation, units, title):
     if units is not None and not isinstance(units, Mapping):
         raise ValueError(f"units={units!r} is not understood; give a dict, such as {{'w': 'm/s'}}")
     told = None if validation is None else _checked_validation(validation)
@@ -214,17 +206,12 @@ def _trim(fitted):
         return "nothing was subtracted"
     span = None if fitted.analyzer is None else fitted.analyzer.trim_span
     where = "in turns at rest, found in the record" if span == "auto" else f"trim_span={span!r}"
+    units = {name: f" {unit}" for name, unit in fitted.units.items()}
     sizes = ", ".join(
-        f"{name} {digits(size, 3)}{_unit(name, fitted.units)} rms"
-        for name, size in zip(
-            [signal for signal, _ in basis.outputs], basis.output_trim.std(axis=0), strict=True
-        )
+        f"{name} {digits(size, 3)}{units.get(name, '')} rms"
+        for (name, _), size in zip(basis.outputs, basis.output_trim.std(axis=0), strict=True)
     )
     return f"the mean waveform of a period was subtracted ({where}): {sizes}"
-
-
-def _unit(name, units):
-    return f" {units[name]}" if name in units else ""
 
 
 def _excited(fitted):
@@ -299,11 +286,9 @@ def _omega_found(fitted):
     basis = fitted.basis
     if basis.timing.azimuth is not None:
         return "not estimated: the azimuth was measured"
-    timing = fitted.analyzer.sample_time, fitted.analyzer.missing
+    known = {"sample_time": fitted.analyzer.sample_time, "missing": fitted.analyzer.missing}
     try:
-        found = estimate_omega(
-            fitted.X, fitted.y, basis.omega, sample_time=timing[0], missing=timing[1]
-        )
+        found = estimate_omega(fitted.X, fitted.y, basis.omega, **known)
     except ValueError as error:
         return f"not estimated: {error}"
     if found.rivals:
@@ -333,10 +318,8 @@ def _residuals(fitted):
         "share": "no noise (% of variance)",
         "passed": "passed",
     }
-    text = (
-        "If the model is linear and right, what it leaves of the record is noise, and every test "
-    )
-    text += "passes."
+    text = "If the model is linear and right, what it leaves of the record is noise, and every "
+    text += "test passes."
     if stands(fitted.matcher) and not tests["passed"].all():
         text += " Some fail, as of a nonlinear machine. Standard deviations come from comparing "
         text += "blocks and parts of the record; they leave no exponent in doubt."
@@ -411,8 +394,8 @@ def _settings(fitted):
             for key, value in step.get_params(deep=False).items()
         }
         shown = pd.DataFrame(rows.values(), list(rows), ["value", ""]).rename_axis("parameter")
-        heading = f"{name}: {type(step).__name__}"
-        heading = type(step).__name__ if name == type(step).__name__ else heading
+        kind = type(step).__name__
+        heading = kind if name == kind else f"{name}: {kind}"
         parts.append(f"<h3>{escape(heading)}</h3>" + table(shown, ("value", "")))
     return "".join(parts)
 
@@ -427,8 +410,7 @@ def _is_default(value, parameter):
     """Whether a parameter was left as it is."""
     if parameter is None or isinstance(value, ModelStep):
         return False
-    same = value is parameter.default or _shortened(value) == _shortened(parameter.default)
-    return bool(same)
+    return value is parameter.default or _shortened(value) == _shortened(parameter.default)
 
 
 def _versions():

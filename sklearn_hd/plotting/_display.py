@@ -312,10 +312,10 @@ def unit_of(name, units):
     return (units or {}).get(name, (units or {}).get(signal))
 
 
-def number(value):
-    """Three digits as print has them: 7.8e8, −0.5."""
-    digits, _, power = f"{value:.3g}".partition("e")
-    return (f"{digits}e{int(power)}" if power else digits).replace("-", "−")
+def number(value, digits=3):
+    """Some digits as print has them: 7.8e8, −0.5."""
+    words, _, power = f"{value:.{digits}g}".partition("e")
+    return (f"{words}e{int(power)}" if power else words).replace("-", "−")
 
 
 def is_real(value):
