@@ -151,13 +151,12 @@ def _data(fitted):
             _signals(experiment.outputs, experiment.output_names, "output", fitted.units),
         ]
     )
-    words = ("role", "unit")
-    note = "Motion: about the trim that was subtracted, if any." if basis.harmonic else None
+    note = line("Motion: about the trim that was subtracted, if any.", "note")
     return "".join(
         [
             facts_table(facts),
-            table(table_of_signals, words),
-            line(note, "note") if note else "",
+            table(table_of_signals, ("role", "unit")),
+            note if basis.harmonic else "",
             line(_excited(fitted)),
             _response(fitted, fitted.X, fitted.y, "The record of the fit"),
         ]
@@ -219,7 +218,7 @@ def _excited(fitted):
     known = fitted.last._excitation
     if known is None:
         return "The record has no inputs, or the fit kept nothing of what they excite."
-    moved, places = known.directions.moved.shape[1], known.directions.moved.shape[0]
+    places, moved = known.directions.moved.shape
     n_steps = sum(len(u) - 1 for u in fitted.experiment.inputs)
     moving = [
         f"{name} at {count} of {n_steps} rows"

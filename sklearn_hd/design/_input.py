@@ -265,7 +265,7 @@ class _Plant:
     sigma: np.ndarray
     input_names: tuple
     output_names: tuple
-    n_loads: int = -1
+    n_loads: int
 
     @property
     def period(self):

@@ -140,14 +140,8 @@ class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude an
         responses = {
             label: _response(system, frequencies, *names) for label, system in systems.items()
         }
-        reference = None if true is None else "true"
-        return cls(
-            frequencies,
-            responses,
-            input_names=names[0],
-            output_names=names[1],
-            reference=reference,
-        )
+        told = {"input_names": names[0], "output_names": names[1]}
+        return cls(frequencies, responses, **told, reference=None if true is None else "true")
 
     def plot(self, ax=None, *, inputs=None, outputs=None, units=None):
         """Draw, on a new figure by default.

@@ -438,6 +438,15 @@ def by_label(given, default):
     return dict(given) if isinstance(given, dict) else {default: given}
 
 
+def by_segment(experiment, parts, names):
+    """Values of each segment of an experiment as one DataFrame by segment and seconds."""
+    tables = [
+        pd.DataFrame(values, pd.Index(time, name="time"), names)
+        for values, time in zip(parts, experiment.times(), strict=True)
+    ]
+    return pd.concat(tables, keys=range(len(tables)), names=["record"])
+
+
 def chosen(wanted, names, what):
     """Places of the signals to draw."""
     if wanted is None:

@@ -353,15 +353,13 @@ def _names(system, matrix):
 
 def _entries(label, system, matrix, psi, rows, columns):
     """Values over the period, rows and columns in the order of some names."""
-    own = _names(system, matrix)
-    for found, wanted in zip(own, (rows, columns), strict=True):
+    places = []
+    for found, wanted in zip(_names(system, matrix), (rows, columns), strict=True):
         if set(found) != set(wanted):
             raise ValueError(
                 f"{label!r} has the names {found}, but the others have {wanted}, and entries in "
                 f"different coordinates cannot be compared; give the same names, or compare "
                 f"responses (HarmonicTransferFunctionDisplay)"
             )
-    places = [
-        [found.index(n) for n in wanted] for found, wanted in zip(own, (rows, columns), strict=True)
-    ]
+        places.append([found.index(name) for name in wanted])
     return np.asarray(getattr(system, matrix)(psi))[np.ix_(range(len(psi)), *places)]
