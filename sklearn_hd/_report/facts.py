@@ -111,6 +111,11 @@ class Fitted:
         return self.last.basis_
 
     @property
+    def periodic(self):
+        """The matched periodic model, or None."""
+        return None if self.matcher is None else self.matcher.match_.periodic
+
+    @property
     def steps(self):
         """Every step by its name, in the order of the pipeline."""
         if isinstance(self.pipe, Pipeline):

@@ -183,10 +183,9 @@ def _match_facts(matcher):
 
 def _picture(fitted):
     """F(ψ) of a periodic model, else the frequency response."""
-    matcher, last = fitted.matcher, fitted.last
+    periodic, last = fitted.periodic, fitted.last
     sampled = isinstance(last.model_, SampleModel) and not last.model_.time_invariant
-    if (matcher is not None and matcher.match_.periodic is not None) or sampled:
-        periodic = None if matcher is None else matcher.match_.periodic
+    if periodic is not None or sampled:
         varies = [name for name in "FGP" if periodic is not None and periodic.highest(name)]
         return PeriodicMatrixDisplay.from_estimator(fitted.pipe, (varies or ["F"])[0])
     system = last.system_
@@ -199,12 +198,12 @@ def _picture(fitted):
 
 def _entries(fitted):
     """Parameters with intervals, or the matrices of the model."""
-    matcher = fitted.matcher
-    if matcher is None or (matcher.structure is None and matcher.match_.periodic is None):
+    matcher, periodic = fitted.matcher, fitted.periodic
+    if matcher is None or (matcher.structure is None and periodic is None):
         return _matrices(fitted.last)
     theta = matcher.theta_
     if not len(theta):
-        return _fourier(matcher.match_.periodic)
+        return _fourier(periodic)
     reach = REACH * matcher.theta_std_
     cells = [with_reach(*pair) for pair in zip(theta, reach, strict=True)]
     named = [re.fullmatch(r"(.+\])_(\d+[cs]?)", name) for name in theta.index]
@@ -222,7 +221,7 @@ def _entries(fitted):
     how = "" if reach.isna().all() else f"Value ± half width of the {LEVEL:.0%} interval. "
     how += "F[a,b] is in the unit of a by the unit of b, per second; G the same by input b; P[a,b] "
     how += "and Q[a,b] in the unit of output a by the unit of b."
-    if matcher.match_.periodic is None:
+    if periodic is None:
         how = how.split("F[a,b]")[0]
     tables = [table(each.head(MOST_ROWS)) for each in (shown, single) if len(each)]
     return "<h3>Parameters</h3>" + "".join(tables) + note + line(how, "note")

@@ -98,9 +98,7 @@ def _validated(fitted, told):
 
 def _head(fitted, run):
     """What the page says first: how good, how many states, and doubts."""
-    n_states, own = fitted.last.model_.n_states, fitted.run
-    if fitted.matcher is not None and fitted.matcher.match_.periodic is not None:
-        n_states = fitted.matcher.match_.periodic.n_states
+    n_states, own = (fitted.periodic or fitted.last.model_).n_states, fitted.run
     if run is None:
         scored = (
             f"R² = {digits(own.r2, 4)} on the record that was used to fit. No validation record "

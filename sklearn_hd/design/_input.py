@@ -265,7 +265,7 @@ class _Plant:
     sigma: np.ndarray
     input_names: tuple
     output_names: tuple
-    n_loads: int
+    n_loads: int  # harmonics of unknown loads; −1 if there are none
 
     @property
     def period(self):

@@ -91,11 +91,7 @@ class Display:
 
     A parameter is described once: in the first method that takes it, in the class, or in
     ``SHARED``. What is returned, and what an estimator that does not fit raises, are added.
-
-    Parameters
-    ----------
-    axes : str, optional
-        How many Axes a display with several draws on, and what each shows.
+    ``axes`` says how many Axes a display with several draws on, and what each shows.
     """
 
     _several = None

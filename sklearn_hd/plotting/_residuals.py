@@ -188,7 +188,7 @@ class ResidualDisplay(Display, axes="two Axes an output, three of a machine that
         asked = self.tests.loc[[name for name in tests if name in self.tests.index]]
         worst = asked["p_value"].min()
         word = "noise" if asked["passed"].all() else "not noise"
-        return f"{word} (p = {number(float(f'{worst:.1g}'))})" if len(asked) else ""
+        return f"{word} (p = {number(worst, 1)})" if len(asked) else ""
 
     def _draw_own(self, name, axis):
         values = self.autocorrelation[name]

@@ -1,6 +1,7 @@
 """Measured against simulated responses."""
 
 from dataclasses import KW_ONLY, dataclass
+from functools import reduce
 
 import numpy as np
 import pandas as pd
@@ -288,7 +289,7 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output, or t
             table = _within(self.inputs[[name]], span)
             style = {"color": BLACK, "lw": 1.2, "drawstyle": "steps-post"}
             t = table.index.to_numpy()
-            self.input_lines_ |= {name: axis.plot(t, table[name].to_numpy(), **style)[0]}
+            self.input_lines_[name] = axis.plot(t, table[name].to_numpy(), **style)[0]
             dress(axis, y=with_unit(name, units))
         for name, axis in zip(outputs, self.axes_[len(inputs) : split], strict=True):
             self._draw(name, axis, span, units)
@@ -410,9 +411,7 @@ def _percent(fits):
 
 def _rows_of_all(rows, record):
     """Rows of a record that every model answers for."""
-    common = rows[0]
-    for others in rows[1:]:
-        common = np.intersect1d(common, others)
+    common = reduce(np.intersect1d, rows)
     common = common[record.rows[common]]
     if len(common) == 0:
         raise ValueError(
