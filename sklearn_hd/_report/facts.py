@@ -27,7 +27,7 @@ from sklearn_hd.harmonics import HarmonicAnalyzer
 from sklearn_hd.matching import StructuredMatcher
 from sklearn_hd.model_selection._scorers import last_model_step
 from sklearn_hd.plotting import ResidualDisplay
-from sklearn_hd.plotting._display import REACH, find_step, steps_of
+from sklearn_hd.plotting._display import REACH, compared_names, find_step, steps_of
 from sklearn_hd.reduction import SpuriousModeReducer
 from sklearn_hd.subspace import MOESPRegressor
 
@@ -66,9 +66,7 @@ class Run:
             truth, simulated, rows, _ = scored_simulation(step, handed, y)
         except (UnstableModelError, ValueError) as error:
             return cls(pd.DataFrame({"R²": []}), 0, str(error))
-        names = step.target_names_
-        if step.predicts_harmonics_:
-            names = [signal for signal, _ in step.basis_.outputs]
+        names = compared_names(step)
         error = np.sqrt(np.mean((truth - simulated) ** 2, axis=0))
         spread = np.std(truth, axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):

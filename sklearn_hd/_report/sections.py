@@ -333,27 +333,21 @@ def _residuals(fitted):
 
 def _validation(fitted, told, run):
     """Scores by output of both records, and by step."""
-    parts = []
     if run is None:
-        parts.append(
-            line(
-                "No validation record was given. These figures are of the record that was used to "
-                "fit, and may be better than those of a new record. Give report(..., "
-                "validation=(X_new, y_new))."
-            )
+        new = line(
+            "No validation record was given. These figures are of the record that was used to fit, "
+            "and may be better than those of a new record. Give report(..., "
+            "validation=(X_new, y_new))."
         )
     else:
-        parts.append("<h3>Validation record, not used to fit</h3>" + _run(run))
-        parts.append(_response(fitted, *told, "The validation record"))
-    parts.append("<h3>Record that was used to fit</h3>" + _run(fitted.run))
-    parts.append(
-        line(
-            "R² and fit are those of the free simulation about the trim: 1 and 100 % are perfect, "
-            "0 is as good as the mean. fit = 100 (1 − ‖y − ŷ‖ / ‖y − ȳ‖).",
-            "note",
-        )
+        new = "<h3>Validation record, not used to fit</h3>" + _run(run)
+        new += _response(fitted, *told, "The validation record")
+    note = line(
+        "R² and fit are those of the free simulation about the trim: 1 and 100 % are perfect, "
+        "0 is as good as the mean. fit = 100 (1 − ‖y − ŷ‖ / ‖y − ȳ‖).",
+        "note",
     )
-    return "".join(parts)
+    return f"{new}<h3>Record that was used to fit</h3>{_run(fitted.run)}{note}"
 
 
 def _run(run):

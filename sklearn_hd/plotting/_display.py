@@ -514,6 +514,11 @@ def invariant_steps(estimator, display):
     return steps
 
 
+def compared_names(step):
+    """Names of the outputs that ``score`` compares; of harmonics, the signals that they make up."""
+    return list(dict(step.basis_.outputs) if step.predicts_harmonics_ else step.target_names_)
+
+
 def has_confidence(step):
     """Whether a fitted step knows the covariance of its parameters."""
     return isinstance(step, StructuredMatcher) and hasattr(step, "eigenvalues_")

@@ -21,6 +21,7 @@ from sklearn_hd.plotting._display import (
     Display,
     Record,
     by_label,
+    compared_names,
     dress,
     fitted_step,
     grid_of,
@@ -189,8 +190,7 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output, or t
         step = next(iter(runs.values()))[0]
         whole = Record(X, record, step.basis_.timing)
         rows = _rows_of_all([run[-1] for run in runs.values()], whole)
-        harmonics = step.predicts_harmonics_  # the signals that they make up are compared
-        names = list(dict(step.basis_.outputs)) if harmonics else list(step.target_names_)
+        names = compared_names(step)
         time = np.full(len(whole.rows), np.nan)
         time[whole.rows] = whole.time
         index = pd.Index(time[rows], name="time")
