@@ -10,7 +10,6 @@ from html import escape
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from scipy.stats import norm
 from sklearn.base import clone
 from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import check_is_fitted
@@ -28,12 +27,10 @@ from sklearn_hd.harmonics import HarmonicAnalyzer
 from sklearn_hd.matching import StructuredMatcher
 from sklearn_hd.model_selection._scorers import last_model_step
 from sklearn_hd.plotting import ResidualDisplay
-from sklearn_hd.plotting._display import find_step, steps_of
+from sklearn_hd.plotting._display import REACH, compared_names, find_step, steps_of
 from sklearn_hd.reduction import SpuriousModeReducer
 from sklearn_hd.subspace import MOESPRegressor
 
-LEVEL = 0.95
-REACH = norm.ppf(0.5 + 0.5 * LEVEL)  # standard deviations to either side
 HARMLESS = (  # of how rows were read, and of coordinates
     "CoordinatesWarning",
     "TimeBaseWarning",
@@ -51,21 +48,11 @@ UNSURE = ("ambiguous", "second-order")
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A free simulation over one record, as ``score`` has it.
+    """A free simulation over one record, as ``score`` has it."""
 
-    Attributes
-    ----------
-    outputs : DataFrame
-        By output: R², fit in percent, root mean squares of the motion and of the error.
-    n_rows : int
-        Rows compared.
-    reason : str or None
-        Why there is no simulation; then ``outputs`` is empty.
-    """
-
-    outputs: pd.DataFrame
-    n_rows: int
-    reason: str | None = None
+    outputs: pd.DataFrame  # by output: R², fit (%), root mean squares of motion and error
+    n_rows: int  # that were compared
+    reason: str | None = None  # why there is no simulation; then ``outputs`` is empty
 
     @property
     def r2(self):
@@ -79,9 +66,7 @@ class Run:
             truth, simulated, rows, _ = scored_simulation(step, handed, y)
         except (UnstableModelError, ValueError) as error:
             return cls(pd.DataFrame({"R²": []}), 0, str(error))
-        names = step.target_names_
-        if step.predicts_harmonics_:
-            names = [signal for signal, _ in step.basis_.outputs]
+        names = compared_names(step)
         error = np.sqrt(np.mean((truth - simulated) ** 2, axis=0))
         spread = np.std(truth, axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -101,24 +86,7 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A fitted pipeline by its steps, and the record of its fit.
-
-    Attributes
-    ----------
-    pipe : estimator
-    X, y : as given
-    units : dict
-    last : ModelStep
-    experiment : Experiment
-    analyzer, identifier, reducer, matcher : steps or None
-    residuals : ResidualDisplay or None
-    tests : DataFrame or str
-        Of the residuals, or why there are none.
-    run : Run
-        Over the record of the fit.
-    told : list of (str, str)
-        Names and texts of warnings that were made again.
-    """
+    """A fitted pipeline by its steps, and the record of its fit."""
 
     pipe: object
     X: object
@@ -131,14 +99,19 @@ class Fitted:
     reducer: SpuriousModeReducer | None
     matcher: StructuredMatcher | None
     residuals: ResidualDisplay | None
-    tests: pd.DataFrame | str
-    run: Run
-    told: list
+    tests: pd.DataFrame | str  # of the residuals, or why there are none
+    run: Run  # over the record of the fit
+    told: list  # names and texts of warnings that were made again
 
     @property
     def basis(self):
         """The reading of the record."""
         return self.last.basis_
+
+    @property
+    def periodic(self):
+        """The matched periodic model, or None."""
+        return None if self.matcher is None else self.matcher.match_.periodic
 
     @property
     def steps(self):
@@ -157,13 +130,13 @@ def read_fitted(pipe, X, y, units):
         warnings.simplefilter("always")
         experiment = last._experiment(handed, y)
         kinds = HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer, StructuredMatcher
-        analyzer, identifier, reducer, matcher = (find_step(pipe, kind) for kind in kinds)
+        steps = [find_step(pipe, kind) for kind in kinds]
+        analyzer, identifier, reducer, matcher = steps
         _warn_again(pipe, X, y, analyzer, experiment, (reducer or identifier, matcher))
         run = Run.of(last, handed, y, units)
         residuals, tests = _tested(pipe, X, y, units)
-    steps = analyzer, identifier, reducer, matcher
-    found = experiment, *steps, residuals, tests, run, words_of(raised)
-    return Fitted(pipe, X, y, units, last, *found)
+    told = words_of(raised)
+    return Fitted(pipe, X, y, units, last, experiment, *steps, residuals, tests, run, told)
 
 
 def _tested(pipe, X, y, units):
@@ -212,11 +185,7 @@ def motion_table(exponents, std=None):
 
         λ = σ + jΩ,   ζ = −σ / |λ|,   δζ ≤ (Ω² δσ + |σ Ω| δΩ) / |λ|³
 
-    Parameters
-    ----------
-    exponents : complex ndarray, shape (n,)
-    std : complex ndarray, shape (n,), optional
-        Standard deviation of the real part + j times that of the imaginary part.
+    ``std`` has the standard deviation of the real part + j times that of the imaginary part.
     """
     z = np.asarray(exponents, complex)
     order = np.lexsort((z.imag, np.abs(z.imag), -z.real))
@@ -238,13 +207,7 @@ def motion_table(exponents, std=None):
 
 
 def doubts(fitted, validation):
-    """Pairs of a text and the anchor of a section.
-
-    Parameters
-    ----------
-    fitted : Fitted
-    validation : Run or None
-    """
+    """Pairs of a text and the anchor of a section; ``validation`` is a Run, or None."""
     found = [
         (text[:1].upper() + text[1:] + ".", ANCHORS.get(kind, "warnings"))
         for kind, text in fitted.told
@@ -253,22 +216,14 @@ def doubts(fitted, validation):
     found += _of_modes(fitted.reducer)
     found += _of_match(fitted.matcher)
     found += _of_residuals(fitted)
-    for run, what, anchor in (
-        (validation, "the validation record", "validation"),
-        (fitted.run, "the record of the fit", "validation"),
-    ):
+    for run, what in ((validation, "the validation record"), (fitted.run, "the record of the fit")):
         if run is None:
             continue
         if run.reason is not None:
-            found.append((f"{what.capitalize()} was not scored: {run.reason}", anchor))
-        elif not run.r2 >= 0.5:  # it leaves more than it explains
-            found.append(
-                (
-                    f"The simulation of {what} leaves more than it explains: "
-                    f"R² = {digits(run.r2, 3)}.",
-                    anchor,
-                )
-            )
+            found.append((f"{what.capitalize()} was not scored: {run.reason}", "validation"))
+        elif not run.r2 >= 0.5:
+            left = f"leaves more than it explains: R² = {digits(run.r2, 3)}."
+            found.append((f"The simulation of {what} {left}", "validation"))
     return found
 
 
@@ -291,14 +246,12 @@ def _of_residuals(fitted):
         return []
     failed = tests[~tests["passed"]]
     worst = failed["share"].idxmax()
-    return [
-        (
-            f"The residuals are not white noise: {len(failed)} of {len(tests)} tests fail "
-            f"({', '.join(failed.index)}). The test '{worst}' finds "
-            f"{digits(100.0 * failed['share'][worst], 2)} % of their variance to be no noise.",
-            "residuals",
-        )
-    ]
+    text = (
+        f"The residuals are not white noise: {len(failed)} of {len(tests)} tests fail "
+        f"({', '.join(failed.index)}). The test '{worst}' finds "
+        f"{digits(100.0 * failed['share'][worst], 2)} % of their variance to be no noise."
+    )
+    return [(text, "residuals")]
 
 
 def stands(matcher):
@@ -313,14 +266,11 @@ def _of_match(matcher):
         return []
     error, found = matcher.hinf_error_relative_, []
     if error > DOUBT:
-        found.append(
-            (
-                f"The matched model differs from the identified one by {digits(100.0 * error, 3)} "
-                f"% (H∞ norm of the error, relative) at "
-                f"{digits(matcher.peak_frequency_)} rad/s.",
-                "model",
-            )
+        text = (
+            f"The matched model differs from the identified one by {digits(100.0 * error, 3)} % "
+            f"(H∞ norm of the error, relative) at {digits(matcher.peak_frequency_)} rad/s."
         )
+        found.append((text, "model"))
     std = pd.Series(matcher.theta_std_)
     unknown = std.index[np.isinf(std)]
     if len(unknown):

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pandas as pd
 
-from sklearn_hd._report.facts import LEVEL, REACH, exponents_of, motion_table
+from sklearn_hd._report.facts import exponents_of, motion_table
 from sklearn_hd._report.page import attempt, digits, facts_table, figure, line, table, with_reach
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.algorithms.signals.fourier import harmonic_labels
@@ -15,6 +15,7 @@ from sklearn_hd.plotting import (
     PeriodicMatrixDisplay,
     SingularValueDisplay,
 )
+from sklearn_hd.plotting._display import LEVEL, REACH
 
 MOST_ROWS = 60  # of a table of parameters
 MOST_STATES = 20  # whose matrices are shown
@@ -134,24 +135,18 @@ def model_section(fitted):
         exponents, std = found["eigenvalue"], found["std_real"] + 1j * found["std_imag"]
     else:
         exponents = exponents_of(step)
+    note = f"±: half widths of {LEVEL:.0%} intervals. "
+    if std is None:
+        note = "There are no intervals: only StructuredMatcher(criterion='output_error') and "
+        note += "'prediction_error' have standard deviations. "
     periodic = fitted.basis.harmonic
+    if periodic:
+        note += "Floquet exponents are known but for multiples of jω, and so are frequency and "
+        note += "damping ratio."
     parts += [
         f"<h3>{'Exponents' if periodic else 'Eigenvalues'} of the model</h3>",
-        table(motion_table(exponents, None if std is None else np.asarray(std))),
-        line(
-            (
-                f"±: half widths of {LEVEL:.0%} intervals. "
-                if std is not None
-                else _no_intervals(step)
-            )
-            + (
-                "Floquet exponents are known but for multiples of jω, and so are frequency and "
-                "damping ratio."
-                if periodic
-                else ""
-            ),
-            "note",
-        ),
+        table(motion_table(exponents, std)),
+        line(note, "note"),
         attempt(lambda: _entries(fitted), "The entries of the model are not shown"),
         figure(
             lambda: _picture(fitted),
@@ -160,15 +155,9 @@ def model_section(fitted):
         ),
     ]
     if isinstance(step.model_, SampleModel) and fitted.identifier is not None:
-        parts.append(_loads(fitted))
+        parts.append("<h3>Loads: forced periodic response of the outputs</h3>")
+        parts.append(attempt(lambda: table(fitted.identifier.loads_.T), "The loads are not shown"))
     return "".join(parts)
-
-
-def _no_intervals(step):
-    return (
-        "There are no intervals: only StructuredMatcher(criterion='output_error') and "
-        "'prediction_error' have standard deviations. "
-    )
 
 
 def _match_facts(matcher):
@@ -194,10 +183,9 @@ def _match_facts(matcher):
 
 def _picture(fitted):
     """F(ψ) of a periodic model, else the frequency response."""
-    matcher, last = fitted.matcher, fitted.last
+    periodic, last = fitted.periodic, fitted.last
     sampled = isinstance(last.model_, SampleModel) and not last.model_.time_invariant
-    if (matcher is not None and matcher.match_.periodic is not None) or sampled:
-        periodic = None if matcher is None else matcher.match_.periodic
+    if periodic is not None or sampled:
         varies = [name for name in "FGP" if periodic is not None and periodic.highest(name)]
         return PeriodicMatrixDisplay.from_estimator(fitted.pipe, (varies or ["F"])[0])
     system = last.system_
@@ -210,12 +198,12 @@ def _picture(fitted):
 
 def _entries(fitted):
     """Parameters with intervals, or the matrices of the model."""
-    matcher = fitted.matcher
-    if matcher is None or (matcher.structure is None and matcher.match_.periodic is None):
+    matcher, periodic = fitted.matcher, fitted.periodic
+    if matcher is None or (matcher.structure is None and periodic is None):
         return _matrices(fitted.last)
     theta = matcher.theta_
     if not len(theta):
-        return _fourier(matcher.match_.periodic)
+        return _fourier(periodic)
     reach = REACH * matcher.theta_std_
     cells = [with_reach(*pair) for pair in zip(theta, reach, strict=True)]
     named = [re.fullmatch(r"(.+\])_(\d+[cs]?)", name) for name in theta.index]
@@ -233,7 +221,7 @@ def _entries(fitted):
     how = "" if reach.isna().all() else f"Value ± half width of the {LEVEL:.0%} interval. "
     how += "F[a,b] is in the unit of a by the unit of b, per second; G the same by input b; P[a,b] "
     how += "and Q[a,b] in the unit of output a by the unit of b."
-    if matcher.match_.periodic is None:
+    if periodic is None:
         how = how.split("F[a,b]")[0]
     tables = [table(each.head(MOST_ROWS)) for each in (shown, single) if len(each)]
     return "<h3>Parameters</h3>" + "".join(tables) + note + line(how, "note")
@@ -241,16 +229,12 @@ def _entries(fitted):
 
 def _fourier(periodic):
     """Fourier coefficients of F, G, P and Q, one row an entry."""
-    states, inputs, outputs = periodic.state_names, periodic.input_names, periodic.output_names
-    sides = {"F": (states, states), "G": (states, inputs), "P": (outputs, states)}
-    sides["Q"] = outputs, inputs
+    sides = _sides(periodic.state_names, periodic.input_names, periodic.output_names)
     parts = []
-    for name, M in zip("FGPQ", periodic.matrices(), strict=True):
-        rows, columns = sides[name]
-        labels = [f"{name}[{a},{b}]" for a in rows for b in columns]
+    for name, M, (rows, columns) in zip("FGPQ", periodic.matrices(), sides, strict=True):
         if np.any(M):
-            values = M.reshape(len(M), -1).T
-            parts.append(pd.DataFrame(values, index=labels))
+            labels = [f"{name}[{a},{b}]" for a in rows for b in columns]
+            parts.append(pd.DataFrame(M.reshape(len(M), -1).T, index=labels))
     whole = pd.concat(parts).rename_axis("entry")
     whole.columns = harmonic_labels(range(whole.shape[1] // 2 + 1))
     kept = [c for c in whole.columns if c == "0" or whole[c].any()]
@@ -262,19 +246,15 @@ def _matrices(step):
     system = step.system_
     if system.nstates > MOST_STATES:
         return line(f"The matrices of {system.nstates} states are not shown; see system_.")
-    states, inputs, outputs = system.state_labels, system.input_labels, system.output_labels
-    shapes = {"A": (states, states), "B": (states, inputs), "C": (outputs, states)}
-    shapes["D"] = outputs, inputs
+    sides = _sides(system.state_labels, system.input_labels, system.output_labels)
     parts = [
         f"<h3>{name}</h3>" + table(pd.DataFrame(getattr(system, name), rows, columns))
-        for name, (rows, columns) in shapes.items()
+        for name, (rows, columns) in zip("ABCD", sides, strict=True)
     ]
     clock = f"discrete, sample time {digits(system.dt, 6)} s" if system.dt else "continuous time"
     return line(f"Matrices of system_ ({clock}).") + "".join(parts)
 
 
-def _loads(fitted):
-    """Forced periodic response of a model of samples."""
-    return "<h3>Loads: forced periodic response of the outputs</h3>" + attempt(
-        lambda: table(fitted.identifier.loads_.T), "The loads are not shown"
-    )
+def _sides(states, inputs, outputs):
+    """Names of the rows and columns of F, G, P, Q, or of A, B, C, D."""
+    return (states, states), (states, inputs), (outputs, states), (outputs, inputs)

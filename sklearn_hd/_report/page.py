@@ -10,6 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from sklearn_hd.exceptions import UnstableModelError
+from sklearn_hd.plotting._display import number
 
 REFUSALS = (ValueError, TypeError, AttributeError, UnstableModelError, np.linalg.LinAlgError)
 PAGE = Template("""<!DOCTYPE html>
@@ -68,13 +69,11 @@ $body
 def page(title, head, sections):
     """The whole page of some sections, (anchor, heading, HTML) each."""
     contents = " ".join(f'<a href="#{a}">{escape(h)}</a>' for a, h, _ in sections)
-    body = "\n".join(section(*each) for each in sections)
+    body = "\n".join(
+        f'<section id="{anchor}"><h2>{escape(heading)}</h2>\n{inner}\n</section>'
+        for anchor, heading, inner in sections
+    )
     return PAGE.substitute(title=escape(title), head=head, contents=contents, body=body)
-
-
-def section(anchor, heading, inner):
-    """One section of the page."""
-    return f'<section id="{anchor}"><h2>{escape(heading)}</h2>\n{inner}\n</section>'
 
 
 def line(text, kind=None):
@@ -98,8 +97,7 @@ def digits(value, count=4):
         return "–"
     if isinstance(value, int | np.integer):
         return f"{value:d}".replace("-", "−")
-    words, _, power = f"{value:.{count}g}".partition("e")
-    return (f"{words}e{int(power)}" if power else words).replace("-", "−")
+    return number(value, count)
 
 
 def with_reach(value, reach):

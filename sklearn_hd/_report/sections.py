@@ -15,7 +15,6 @@ from sklearn_hd._containers import without_inputs
 from sklearn_hd._model_step import ModelStep
 from sklearn_hd._report import models
 from sklearn_hd._report.facts import (
-    REACH,
     Run,
     doubts,
     doubts_box,
@@ -27,12 +26,8 @@ from sklearn_hd._report.page import closed_figures, digits, facts_table, figure,
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.frequency import estimate_omega
 from sklearn_hd.model_selection._scorers import last_model_step
-from sklearn_hd.plotting import (
-    AzimuthDisplay,
-    HarmonicsDisplay,
-    ResponseDisplay,
-)
-from sklearn_hd.plotting._display import Record
+from sklearn_hd.plotting import AzimuthDisplay, HarmonicsDisplay, ResponseDisplay
+from sklearn_hd.plotting._display import REACH, Record
 
 READINGS = {
     "sliding": "sliding: Fourier coefficients through a window that slides over the record",
@@ -46,13 +41,9 @@ MOST_DRAWN = 5000  # rows that a picture shows apart, some five for each of its 
 CLOSER = 500  # rows of a longer record that are drawn
 
 
+@closed_figures()
 def whole_page(pipe, X, y, validation, units, title):
     """The report as text of HTML."""
-    with closed_figures():
-        return _written(pipe, X, y, validation, units, title)
-
-
-def _written(pipe, X, y, validation, units, title):
     if units is not None and not isinstance(units, Mapping):
         raise ValueError(f"units={units!r} is not understood; give a dict, such as {{'w': 'm/s'}}")
     told = None if validation is None else _checked_validation(validation)
@@ -107,9 +98,7 @@ def _validated(fitted, told):
 
 def _head(fitted, run):
     """What the page says first: how good, how many states, and doubts."""
-    n_states, own = fitted.last.model_.n_states, fitted.run
-    if fitted.matcher is not None and fitted.matcher.match_.periodic is not None:
-        n_states = fitted.matcher.match_.periodic.n_states
+    n_states, own = (fitted.periodic or fitted.last.model_).n_states, fitted.run
     if run is None:
         scored = (
             f"R² = {digits(own.r2, 4)} on the record that was used to fit. No validation record "
@@ -160,13 +149,12 @@ def _data(fitted):
             _signals(experiment.outputs, experiment.output_names, "output", fitted.units),
         ]
     )
-    words = ("role", "unit")
-    note = "Motion: about the trim that was subtracted, if any." if basis.harmonic else None
+    note = line("Motion: about the trim that was subtracted, if any.", "note")
     return "".join(
         [
             facts_table(facts),
-            table(table_of_signals, words),
-            line(note, "note") if note else "",
+            table(table_of_signals, ("role", "unit")),
+            note if basis.harmonic else "",
             line(_excited(fitted)),
             _response(fitted, fitted.X, fitted.y, "The record of the fit"),
         ]
@@ -215,17 +203,12 @@ def _trim(fitted):
         return "nothing was subtracted"
     span = None if fitted.analyzer is None else fitted.analyzer.trim_span
     where = "in turns at rest, found in the record" if span == "auto" else f"trim_span={span!r}"
+    units = {name: f" {unit}" for name, unit in fitted.units.items()}
     sizes = ", ".join(
-        f"{name} {digits(size, 3)}{_unit(name, fitted.units)} rms"
-        for name, size in zip(
-            [signal for signal, _ in basis.outputs], basis.output_trim.std(axis=0), strict=True
-        )
+        f"{name} {digits(size, 3)}{units.get(name, '')} rms"
+        for (name, _), size in zip(basis.outputs, basis.output_trim.std(axis=0), strict=True)
     )
     return f"the mean waveform of a period was subtracted ({where}): {sizes}"
-
-
-def _unit(name, units):
-    return f" {units[name]}" if name in units else ""
 
 
 def _excited(fitted):
@@ -233,7 +216,7 @@ def _excited(fitted):
     known = fitted.last._excitation
     if known is None:
         return "The record has no inputs, or the fit kept nothing of what they excite."
-    moved, places = known.directions.moved.shape[1], known.directions.moved.shape[0]
+    places, moved = known.directions.moved.shape
     n_steps = sum(len(u) - 1 for u in fitted.experiment.inputs)
     moving = [
         f"{name} at {count} of {n_steps} rows"
@@ -300,11 +283,9 @@ def _omega_found(fitted):
     basis = fitted.basis
     if basis.timing.azimuth is not None:
         return "not estimated: the azimuth was measured"
-    timing = fitted.analyzer.sample_time, fitted.analyzer.missing
+    known = {"sample_time": fitted.analyzer.sample_time, "missing": fitted.analyzer.missing}
     try:
-        found = estimate_omega(
-            fitted.X, fitted.y, basis.omega, sample_time=timing[0], missing=timing[1]
-        )
+        found = estimate_omega(fitted.X, fitted.y, basis.omega, **known)
     except ValueError as error:
         return f"not estimated: {error}"
     if found.rivals:
@@ -334,10 +315,8 @@ def _residuals(fitted):
         "share": "no noise (% of variance)",
         "passed": "passed",
     }
-    text = (
-        "If the model is linear and right, what it leaves of the record is noise, and every test "
-    )
-    text += "passes."
+    text = "If the model is linear and right, what it leaves of the record is noise, and every "
+    text += "test passes."
     if stands(fitted.matcher) and not tests["passed"].all():
         text += " Some fail, as of a nonlinear machine. Standard deviations come from comparing "
         text += "blocks and parts of the record; they leave no exponent in doubt."
@@ -354,27 +333,21 @@ def _residuals(fitted):
 
 def _validation(fitted, told, run):
     """Scores by output of both records, and by step."""
-    parts = []
     if run is None:
-        parts.append(
-            line(
-                "No validation record was given. These figures are of the record that was used to "
-                "fit, and may be better than those of a new record. Give report(..., "
-                "validation=(X_new, y_new))."
-            )
+        new = line(
+            "No validation record was given. These figures are of the record that was used to fit, "
+            "and may be better than those of a new record. Give report(..., "
+            "validation=(X_new, y_new))."
         )
     else:
-        parts.append("<h3>Validation record, not used to fit</h3>" + _run(run))
-        parts.append(_response(fitted, *told, "The validation record"))
-    parts.append("<h3>Record that was used to fit</h3>" + _run(fitted.run))
-    parts.append(
-        line(
-            "R² and fit are those of the free simulation about the trim: 1 and 100 % are perfect, "
-            "0 is as good as the mean. fit = 100 (1 − ‖y − ŷ‖ / ‖y − ȳ‖).",
-            "note",
-        )
+        new = "<h3>Validation record, not used to fit</h3>" + _run(run)
+        new += _response(fitted, *told, "The validation record")
+    note = line(
+        "R² and fit are those of the free simulation about the trim: 1 and 100 % are perfect, "
+        "0 is as good as the mean. fit = 100 (1 − ‖y − ŷ‖ / ‖y − ȳ‖).",
+        "note",
     )
-    return "".join(parts)
+    return f"{new}<h3>Record that was used to fit</h3>{_run(fitted.run)}{note}"
 
 
 def _run(run):
@@ -412,8 +385,8 @@ def _settings(fitted):
             for key, value in step.get_params(deep=False).items()
         }
         shown = pd.DataFrame(rows.values(), list(rows), ["value", ""]).rename_axis("parameter")
-        heading = f"{name}: {type(step).__name__}"
-        heading = type(step).__name__ if name == type(step).__name__ else heading
+        kind = type(step).__name__
+        heading = kind if name == kind else f"{name}: {kind}"
         parts.append(f"<h3>{escape(heading)}</h3>" + table(shown, ("value", "")))
     return "".join(parts)
 
@@ -428,8 +401,7 @@ def _is_default(value, parameter):
     """Whether a parameter was left as it is."""
     if parameter is None or isinstance(value, ModelStep):
         return False
-    same = value is parameter.default or _shortened(value) == _shortened(parameter.default)
-    return bool(same)
+    return value is parameter.default or _shortened(value) == _shortened(parameter.default)
 
 
 def _versions():

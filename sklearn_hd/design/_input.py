@@ -21,6 +21,7 @@ from sklearn_hd.algorithms.likelihood.input_design import (
     exchange,
 )
 from sklearn_hd.algorithms.likelihood.predictor import as_records, simulate
+from sklearn_hd.algorithms.signals.fourier import harmonic_labels
 from sklearn_hd.matching import StructuredMatcher
 from sklearn_hd.structures import HarmonicStructure
 from sklearn_hd.systems import LTPSystem
@@ -213,8 +214,7 @@ def design_input(
     family = KINDS[kind](n_periods * rows, len(amplitude), rows)
     most = np.inf
     if energy is not None:
-        check_positive("energy", energy, "seconds", "that of a doublet is the time it lasts")
-        most = energy
+        most = check_positive("energy", energy, "seconds", "that of a doublet is the time it lasts")
 
     def record(levels, per_period):
         """Inputs in their units, after the quiet periods, within the energy."""
@@ -265,7 +265,7 @@ class _Plant:
     sigma: np.ndarray
     input_names: tuple
     output_names: tuple
-    n_loads: int = -1
+    n_loads: int  # harmonics of unknown loads; −1 if there are none
 
     @property
     def period(self):
@@ -286,9 +286,9 @@ class _Plant:
     def form(self, n_phases):
         return Form(self.structure, self.omega, n_phases)
 
-    def with_load(self, u):
-        """Inputs, with an additional one that is 1 if loads are also unknown."""
-        return u if self.n_loads < 0 else np.hstack([u, np.ones((len(u), 1))])
+    def with_load(self, u, size=1.0):
+        """Inputs, with an additional one of some size if loads are also unknown."""
+        return u if self.n_loads < 0 else np.hstack([u, np.full((len(u), 1), size)])
 
     def check_growth(self, form, n_periods):
         """Raise ValueError if the motion grows too large."""
@@ -316,8 +316,7 @@ class _Plant:
         index = pd.Index(dt * np.arange(len(u)), name="time")
         form = self.form(self.n_phases)
         response = form.response(self.theta, sensitivities=False)
-        still = u if self.n_loads < 0 else np.hstack([u, np.zeros((len(u), 1))])
-        (record,) = as_records([(still, None, 0)], form.n_outputs)
+        (record,) = as_records([(self.with_load(u, 0.0), None, 0)], form.n_outputs)
         y = simulate(response, record, np.zeros(form.n_states))[1]
         return (
             pd.DataFrame(u, index, list(self.input_names)),
@@ -448,16 +447,12 @@ def _of_system(system, structure, noise_std, samples_per_period):
             "output's sensor noise (only the ratios change the inputs found)"
         )
     names = system.state_names, system.input_names, system.output_names
-    coefficients = system.fourier_coefficients(4 * MOST_HARMONICS)
+    F, G, P, Q = system.fourier_coefficients(4 * MOST_HARMONICS)
     if structure is None:
-        F, G, P, Q = coefficients
         known = {"P": _as_known(P), "Q": _as_known(Q)}
         structure = HarmonicStructure(_n_harmonics("F", F), _n_harmonics("G", G), **known)
     resolved = structure.resolve(*names, dict.fromkeys("FGP", MOST_HARMONICS))
-    n, m = len(names[0]), len(names[1])
-    whole = np.zeros((len(coefficients[0]), n + len(names[2]), n + m))
-    whole[:, :n, :n], whole[:, :n, n:], whole[:, n:, :n], whole[:, n:, n:] = coefficients
-    theta = resolved.nearest(whole)
+    theta = resolved.nearest(np.block([[F, G], [P, Q]]))
     count = SAMPLES if samples_per_period is None else samples_per_period
     return _assembled(resolved, theta, system.omega, count, noise_std, names, -1)
 
@@ -498,8 +493,8 @@ def _n_harmonics(name, coefficients):
 
 def _as_known(coefficients):
     """Coefficients as a dict of numbers."""
-    kept = max(0, *np.flatnonzero(np.any(coefficients != 0.0, axis=(1, 2))), 0)
-    labels = ["0"] + [f"{k}{wave}" for k in range(1, (kept + 1) // 2 + 1) for wave in "cs"]
+    last = np.flatnonzero(np.any(coefficients != 0.0, axis=(1, 2))).max(initial=0)
+    labels = harmonic_labels(range((last + 1) // 2 + 1))
     return dict(zip(labels, coefficients, strict=False))
 
 

@@ -13,6 +13,7 @@ from sklearn_hd.design._problem import (
     PeriodicMatrix,
     SampledProblem,
     check_weight,
+    entered_noise,
     held_integral,
     samples_of,
     solved,
@@ -177,39 +178,37 @@ def _sampled(system, E, W, V, psi):
     back = (M[::-1] for M in (A.mT, C.mT, noise, V, zero))
     X, _, multipliers = _solved(SampledProblem(*back))
     P = np.roll(X[::-1], 1, axis=0)
+    return P, *_corrected(P, C, V), multipliers, noise
+
+
+def _corrected(P, C, V):
+    """Kalman gain, and the covariance P of the state's error once y is known."""
     seen = C @ P
     L = np.linalg.solve(seen @ C.mT + V, seen).mT
-    kept = np.eye(system.n_states) - L @ C
-    filtered = kept @ P @ kept.mT + L @ V @ L.mT
-    return P, L, filtered, multipliers, noise
+    kept = np.eye(P.shape[-1]) - L @ C
+    return L, kept @ P @ kept.mT + L @ V @ L.mT
 
 
 def _continuous(system, E, W, V, psi):
     """The regulator of the transposed system, backwards."""
-
-    def noise(psi):
-        entered = E(psi)
-        return entered @ W(psi) @ entered.mT
-
-    noise.precision = precision(E, W)
-    F, C = _Backwards(system.F, transpose=True), _Backwards(system.P, transpose=True)
-    problem = ContinuousProblem(F, C, _Backwards(noise), _Backwards(V), system.omega)
+    noise = entered_noise(E, W)
+    F, C = _backwards(system.F, transpose=True), _backwards(system.P, transpose=True)
+    problem = ContinuousProblem(F, C, _backwards(noise), _backwards(V), system.omega)
     X, K, multipliers = _solved(problem)
     backwards = -np.arange(len(X))
     P = X[backwards]
     return P, K[backwards].mT, P, multipliers, noise(psi[:-1])
 
 
-class _Backwards:
+def _backwards(matrix, *, transpose=False):
     """M(−ψ), optionally transposed."""
 
-    def __init__(self, matrix, *, transpose=False):
-        self.matrix, self.transpose = matrix, transpose
-        self.precision = precision(matrix)
+    def turned(psi):
+        values = matrix(-psi)
+        return values.mT if transpose else values
 
-    def __call__(self, psi):
-        values = self.matrix(-psi)
-        return values.mT if self.transpose else values
+    turned.precision = precision(matrix)
+    return turned
 
 
 class Observer:
@@ -362,10 +361,8 @@ class Observer:
     def _correct(self, k, u, y):
         C, D = self._measured[0][k], self._measured[1][k]
         if self._follows:
-            V, seen = self.estimator.sensor_noise[k], C @ self.covariance
-            L = np.linalg.solve(seen @ C.T + V, seen).T
-            kept = np.eye(len(L)) - L @ C
-            self.covariance = kept @ self.covariance @ kept.T + L @ V @ L.T
+            V = self.estimator.sensor_noise[k]
+            L, self.covariance = _corrected(self.covariance, C, V)
         else:
             L = self.estimator.gain.values[k]
             self.covariance = self.estimator.filtered.values[k]

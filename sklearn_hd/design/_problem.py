@@ -69,13 +69,9 @@ class ContinuousProblem:
     R: object
     omega: float
 
-    @property
-    def psi(self):
-        return 2.0 * np.pi * np.arange(POINTS + 1) / POINTS
-
     def solve(self):
         A, G, H = self._triples(self.F, self._reach, self.Q)
-        X, psi = solve_periodic_riccati(A, G, H), self.psi[:-1]
+        X, psi = solve_periodic_riccati(A, G, H), ends_of_steps(POINTS)[:-1]
         K = np.linalg.solve(self.R(psi), self.G(psi).mT @ X)
         return X, K, closed_loop(A, G, X)
 
@@ -99,8 +95,8 @@ class ContinuousProblem:
         return G @ np.linalg.solve(self.R(psi), G.mT)
 
     def _triples(self, F, E, Q):
-        tolerance = precision(self.F, self.G, self.Q, self.R)
-        return hamiltonian_triples(F, E, Q, self.psi, self.omega, tolerance=tolerance)
+        tolerance, psi = precision(self.F, self.G, self.Q, self.R), ends_of_steps(POINTS)
+        return hamiltonian_triples(F, E, Q, psi, self.omega, tolerance=tolerance)
 
 
 def solved(problem, unreached, unseen):
@@ -132,10 +128,14 @@ def samples_of(system, sample_time):
             f"result of PeriodicSystem.linearize"
         )
     if sample_time is None:
-        return 2.0 * np.pi * np.arange(POINTS + 1) / POINTS
+        return ends_of_steps(POINTS)
     dt = check_positive("sample_time", sample_time, "seconds", "inputs are held for it")
     once = abs(dt * system.omega / (2.0 * np.pi) - 1.0) < HALF  # a period, fed back once in it
-    p = 1 if once else check_period(system.omega, dt, 0)
+    return ends_of_steps(1 if once else check_period(system.omega, dt, 0))
+
+
+def ends_of_steps(p):
+    """Ends in radians of p equal steps of a period, shape (p + 1,)."""
     return 2.0 * np.pi * np.arange(p + 1) / p
 
 
@@ -163,16 +163,23 @@ def check_weight(name, matrix, size, psi, *, definite):
 
 def held_integral(M, system, W, psi):
     """∫ Φ M W Mᵀ Φᵀ dt over each step, the covariance left by noise of intensity W; and Φ."""
+    intensity = entered_noise(M, W)
+    tolerance = precision(system.F, intensity)
+    Phi, covariance, _ = hamiltonian_triples(
+        system.F, intensity, None, psi, system.omega, tolerance=tolerance
+    )
+    return covariance, Phi
+
+
+def entered_noise(M, W):
+    """Callable of ψ of M W Mᵀ, the intensity of noise W that enters through M."""
 
     def intensity(psi):
         entered = M(psi)
         return entered @ W(psi) @ entered.mT
 
-    tolerance = precision(system.F, M, W)
-    Phi, covariance, _ = hamiltonian_triples(
-        system.F, intensity, None, psi, system.omega, tolerance=tolerance
-    )
-    return covariance, Phi
+    intensity.precision = precision(M, W)
+    return intensity
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +226,7 @@ class PeriodicMatrix:
     @property
     def azimuths(self):
         """Azimuths ψ of the samples, shape (p,), in radians."""
-        return 2.0 * np.pi * np.arange(len(self.values)) / len(self.values)
+        return ends_of_steps(len(self.values))[:-1]
 
     @property
     def max_harmonics(self):

@@ -162,11 +162,11 @@ class PeriodicRegulator:
         K, error, T = self.gain.values, estimator.filtered.values, self.system.period
         if self.sample_time is None:
             R = self.problem.R(self.gain.azimuths)
-            rate = np.mean(np.einsum("kij,kil,klm,kjm->k", K, R, K, error))
         else:
             B, X = self.problem.B, np.roll(self.cost_to_go.values, -1, axis=0)
             R = self.problem.R + B.mT @ X @ B
-            rate = np.sum(np.einsum("kij,kil,klm,kjm->k", K, R, K, error)) / T
+        costs = np.einsum("kij,kil,klm,kjm->k", K, R, K, error)
+        rate = np.mean(costs) if self.sample_time is None else np.sum(costs) / T
         return float(_noise_cost(self, estimator.noise) + rate)
 
     def truncated(self, n_harmonics, W=None):

@@ -3,11 +3,11 @@
 from dataclasses import KW_ONLY, dataclass, field
 
 import numpy as np
-from scipy.stats import norm
 
 from sklearn_hd.algorithms.lti.simulation import continuous_poles, frequency_response
 from sklearn_hd.plotting._display import (
     FREQUENCY,
+    REACH,
     Display,
     between_same_signals,
     by_label,
@@ -18,6 +18,7 @@ from sklearn_hd.plotting._display import (
     line_styles,
     matrices_between,
     name_confidence,
+    places,
     sample_time,
     unit_of,
 )
@@ -139,14 +140,8 @@ class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude an
         responses = {
             label: _response(system, frequencies, *names) for label, system in systems.items()
         }
-        reference = None if true is None else "true"
-        return cls(
-            frequencies,
-            responses,
-            input_names=names[0],
-            output_names=names[1],
-            reference=reference,
-        )
+        told = {"input_names": names[0], "output_names": names[1]}
+        return cls(frequencies, responses, **told, reference=None if true is None else "true")
 
     def plot(self, ax=None, *, inputs=None, outputs=None, units=None):
         """Draw, on a new figure by default.
@@ -163,11 +158,8 @@ class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude an
         ValueError
             If a signal asked for is not there.
         """
-        pairs, columns = chosen_pairs(inputs, outputs, self)
-        rows = -(-len(pairs) // columns)
-        cells = [
-            (2 * (k // columns) + half, k % columns) for k in range(len(pairs)) for half in (0, 1)
-        ]
+        pairs, (rows, columns) = chosen_pairs(inputs, outputs, self)
+        cells = [(2 * r + half, c) for r, c in places(len(pairs), columns) for half in (0, 1)]
         size = max(5.0, 3.2 * columns), 0.6 + (4.4 if rows == 1 else 3.4) * rows
         panels = self._panels(ax, size, cells, heights=[1.3, 1.0] * rows, share_x="all")
         styles = line_styles(self.responses, self.reference)
@@ -210,8 +202,7 @@ class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude an
         size = np.maximum(np.abs(g), np.finfo(float).tiny)
         along = np.hypot(g.real * std.real, g.imag * std.imag) / size
         across = np.hypot(g.imag * std.real, g.real * std.imag) / size**2
-        deviations = norm.ppf(0.975)  # on either side of 95 %
-        reach, turn = deviations * along, np.degrees(deviations * across)
+        reach, turn = REACH * along, np.degrees(REACH * across)
         look = {"color": style["color"], "alpha": 0.25, "lw": 0}
         edges = (
             (axes[0], np.maximum(size - reach, 1e-3 * size), size + reach),

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.gridspec import GridSpec, GridSpecFromSubplotSpec
+from scipy.stats import norm
 from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import check_is_fitted
@@ -61,7 +62,9 @@ BARS = (
     {"color": GREY, "edgecolor": "white", "hatch": "++"},
 )
 SMALLEST = 6.0  # points, of letters
-CONFIDENCE, NARROW = "95 % confidence", 2.0  # points: a line's width, 1.5, and its edges
+LEVEL = 0.95
+REACH = norm.ppf(0.5 + 0.5 * LEVEL)  # standard deviations to either side
+CONFIDENCE, NARROW = f"{100 * LEVEL:g} % confidence", 2.0  # points: a line's width, 1.5, and edges
 TIME, SAMPLES = "time (s)", "sample (–)"
 FREQUENCY = "frequency (rad/s)"
 REAL, IMAGINARY = "real part (1/s)", "imaginary part (rad/s)"
@@ -88,11 +91,7 @@ class Display:
 
     A parameter is described once: in the first method that takes it, in the class, or in
     ``SHARED``. What is returned, and what an estimator that does not fit raises, are added.
-
-    Parameters
-    ----------
-    axes : str, optional
-        How many Axes a display with several draws on, and what each shows.
+    ``axes`` says how many Axes a display with several draws on, and what each shows.
     """
 
     _several = None
@@ -154,30 +153,12 @@ def _described(described):
 
 
 class Panels:
-    """The panels of a display.
+    """The ``axes`` of a display on its ``figure``, which is its ``own`` if it was made here.
 
-    Parameters
-    ----------
-    ax : Axes, array of Axes or None
-        None makes a figure; one Axes is divided where more than one panel is
-        needed; an array holds one Axes a panel.
-    cells : list of (int, int)
-        Row and column of each panel.
-    size : (float, float)
-        Of a new figure, inches.
-    heights : sequence of float, optional
-        Of rows, relative.
-    share_x, share_y : "all", "row" or None
-        Which panels have one axis.
-    names : str, optional
-        What the panels show, for errors.
-
-    Attributes
-    ----------
-    axes : ndarray of Axes, shape (n_panels,)
-    figure : Figure
-    own : bool
-        Whether the figure was made here.
+    ``ax`` None makes a figure of some size in inches; one Axes is divided where more than one
+    panel is needed; an array holds one Axes a panel. ``cells`` has the row and column of each
+    panel, ``heights`` are those of rows, relative, ``share_x`` and ``share_y`` ("all", "row" or
+    None) say which panels have one axis, and ``names`` is what they show, for errors.
     """
 
     def __init__(self, ax, cells, *, size, heights=None, share_x=None, share_y=None, names=None):
@@ -250,12 +231,10 @@ class Panels:
 
 def _partner(share, place, cells, axes):
     """The first Axes made with which the one at some place shares an axis."""
-    keep = {
-        "all": lambda other: True,
-        "row": lambda other: other[0] == place[0],
-    }.get(share, lambda other: False)
-    made = zip(cells, axes, strict=False)
-    return next((ax for other, ax in made if keep(other)), None)
+    for (row, _), ax in zip(cells, axes, strict=False):
+        if share == "all" or (share == "row" and row == place[0]):
+            return ax
+    return None
 
 
 def grid_of(count, *, most=None):
@@ -329,10 +308,10 @@ def unit_of(name, units):
     return (units or {}).get(name, (units or {}).get(signal))
 
 
-def number(value):
-    """Three digits as print has them: 7.8e8, −0.5."""
-    digits, _, power = f"{value:.3g}".partition("e")
-    return (f"{digits}e{int(power)}" if power else digits).replace("-", "−")
+def number(value, digits=3):
+    """Some digits as print has them: 7.8e8, −0.5."""
+    words, _, power = f"{value:.{digits}g}".partition("e")
+    return (f"{words}e{int(power)}" if power else words).replace("-", "−")
 
 
 def is_real(value):
@@ -347,15 +326,16 @@ def complex_number(value):
     return f"{number(value.real)} ± {number(abs(value.imag))}j 1/s"
 
 
-def unbroken(time, values, segments, span=None):
-    """Times and values with a NaN between the segments, so that lines do not cross gaps.
+def unbroken(signal, segments, span=None):
+    """Times and values of a Series, a NaN between the segments, so that lines do not cross gaps.
 
     With ``span`` only those within it.
     """
+    time, values = signal.index.to_numpy(), signal.to_numpy()
     times, parts = [], []
     for segment in segments:
         times += [time[segment], [np.nan]]
-        parts += [values[segment], np.full((1, *values.shape[1:]), np.nan)]
+        parts += [values[segment], [np.nan]]
     times, parts = np.concatenate(times[:-1]), np.concatenate(parts[:-1])
     if span is None:
         return times, parts
@@ -413,27 +393,10 @@ def fitted_step(estimator, kinds, display):
 
 
 class Record:
-    """Rows of one record, and their times.
+    """One record, the first by default: its ``rows`` (a mask) and their ``time`` in seconds.
 
-    Parameters
-    ----------
-    data : DataFrame, Series or ndarray
-    record : label or None
-        None is the first record.
-    timing : Timing, optional
-        When rows were sampled.
-
-    Attributes
-    ----------
-    rows : ndarray of bool, shape (n_rows,)
-    time : ndarray, shape (n_rows_of_record,)
-        Seconds.
-    segments : list of slice
-        Runs of consecutive rows of the record.
-    label : label or None
-        None where there is but one record.
-    axis : str
-        What the time axis is called.
+    ``segments`` are slices of its consecutive rows, ``label`` and ``title`` name it (None where
+    there is but one record), ``axis`` is what the time axis is called.
     """
 
     def __init__(self, data, record=None, timing=None):
@@ -446,6 +409,7 @@ class Record:
         self.segments = [slice(place[s.start], place[s.stop - 1] + 1) for s in inside]
         self.time = base.time[self.rows]
         self.axis = SAMPLES if base.counted and step in (None, 1.0) else TIME
+        self.title = None if self.label is None else f"record {self.label}"
 
 
 def _rows_of(index, n_rows, record):
@@ -470,6 +434,15 @@ def by_label(given, default):
     return dict(given) if isinstance(given, dict) else {default: given}
 
 
+def by_segment(experiment, parts, names):
+    """Values of each segment of an experiment as one DataFrame by segment and seconds."""
+    tables = [
+        pd.DataFrame(values, pd.Index(time, name="time"), names)
+        for values, time in zip(parts, experiment.times(), strict=True)
+    ]
+    return pd.concat(tables, keys=range(len(tables)), names=["record"])
+
+
 def chosen(wanted, names, what):
     """Places of the signals to draw."""
     if wanted is None:
@@ -482,13 +455,13 @@ def chosen(wanted, names, what):
 
 
 def chosen_pairs(inputs, outputs, display):
-    """Places of (output, input) of the panels asked for, and how many stand side by side."""
+    """Places of (output, input) of the panels asked for, and rows and columns for them."""
     pairs = [
         (o, i)
         for i in chosen(inputs, display.input_names, "inputs")
         for o in chosen(outputs, display.output_names, "outputs")
     ]
-    return pairs, min(len(pairs), 3 if len(pairs) <= 6 else 4)
+    return pairs, grid_of(len(pairs), most=3 if len(pairs) <= 6 else 4)
 
 
 def periodic_system(estimator, display):
@@ -539,6 +512,11 @@ def invariant_steps(estimator, display):
                 f"output_harmonics=0"
             )
     return steps
+
+
+def compared_names(step):
+    """Names of the outputs that ``score`` compares; of harmonics, the signals that they make up."""
+    return list(dict(step.basis_.outputs) if step.predicts_harmonics_ else step.target_names_)
 
 
 def has_confidence(step):

@@ -162,25 +162,20 @@ class EigenvalueDisplay(Display):
         if isinstance(estimator, dict):
             lasts = {k: fitted_step(e, ModelStep, cls.__name__) for k, e in estimator.items()}
             found = {k: _found(e, lasts[k]) for k, e in estimator.items()}
-            omega = {getattr(step.basis_, "omega", None) for step in lasts.values()}
-            display = cls(
-                model=found,
-                true=_of_truth(true),
-                omega=omega.pop() if len(omega) == 1 else None,
-            )
+            omegas = {getattr(step.basis_, "omega", None) for step in lasts.values()}
+            omega = omegas.pop() if len(omegas) == 1 else None
+            display = cls(model=found, true=_of_truth(true), omega=omega)
             return display.plot(ax=ax, level=level, grid=grid)
         last = fitted_step(estimator, ModelStep, cls.__name__)
         reducer = find_step(estimator, SpuriousModeReducer)
         matcher = find_step(estimator, StructuredMatcher)
         model = None if matcher is None and reducer is not None else _found(estimator, last)
-        name = "identified" if matcher is None else "after matching"
-        basis = last.basis_
         display = cls(
             None if reducer is None else reducer.modes_,
             model=model,
             true=_of_truth(true),
-            omega=getattr(basis, "omega", None),
-            model_name=name,
+            omega=getattr(last.basis_, "omega", None),
+            model_name="identified" if matcher is None else "after matching",
             doubts=_doubts(estimator, last.model_.exponents() if model is None else model),
         )
         return display.plot(ax=ax, level=level, grid=grid)
@@ -200,12 +195,8 @@ class EigenvalueDisplay(Display):
         speeds = {s.omega for s in systems.values() if isinstance(s, LTPSystem)}
         if omega is None and len(speeds) == 1:
             (omega,) = speeds
-        display = cls(
-            model={label: _poles_of(system) for label, system in systems.items()},
-            true=_of_truth(true),
-            omega=omega,
-        )
-        return display.plot(ax=ax, grid=grid)
+        poles = {label: _poles_of(system) for label, system in systems.items()}
+        return cls(model=poles, true=_of_truth(true), omega=omega).plot(ax=ax, grid=grid)
 
     def plot(self, ax=None, *, level=0.95, grid=False, legend=True):
         """Draw, on a new figure by default.
@@ -251,8 +242,7 @@ class EigenvalueDisplay(Display):
     def _draw_models(self, level, view):
         """Poles of each model, told apart by markers where there are several."""
         self.model_points_, self.uncertainty_ = None, []
-        models = self._models
-        styles = [MODEL][: len(models)]
+        models, styles = self._models, [MODEL]
         if len(models) > 1:
             styles = [
                 (marker, look["color"], 8)
@@ -260,13 +250,12 @@ class EigenvalueDisplay(Display):
             ]
         points = {
             label: self._points(model["eigenvalue"].to_numpy(), *style, label, view)
-            for (label, model), style in zip(models.items(), styles, strict=True)
+            for (label, model), style in zip(models.items(), styles, strict=False)
         }
         if points:
             self.model_points_ = points if len(points) > 1 else next(iter(points.values()))
-        colours = {label: line.get_color() for label, line in points.items()}
-        for label in models:
-            self._draw_uncertainty(level, label, colours[label])
+        for label, line in points.items():
+            self._draw_uncertainty(level, label, line.get_color())
 
     def _draw_doubts(self, view):
         """A frame round each eigenvalue in doubt, joined to what the second opinion has."""
@@ -321,8 +310,8 @@ class EigenvalueDisplay(Display):
         parts = [] if self.true is None else [self.true]
         for label, model in self._models.items():
             parts.append(model["eigenvalue"].to_numpy())
-            reaches = self._reaches(level, label)
-            parts += [z + side for z, *reach in reaches for side in _corners(*reach)]
+            for z, right, up in self._reaches(level, label):
+                parts += [z + right * a + 1j * up * b for a in (-1, 1) for b in (-1, 1)]
         if self.modes is not None:
             window = (self.modes["verdict"] == "window").to_numpy()
             seen = window if window.all() else ~window
@@ -330,9 +319,8 @@ class EigenvalueDisplay(Display):
         if self.doubts is not None:
             z, other = (self.doubts[c].to_numpy(complex) for c in ("eigenvalue", "opinion"))
             parts += [z, other[np.abs(other - z) <= np.abs(z)]]  # a far one is out of view
-        z = np.concatenate(
-            [*map(np.ravel, parts), [0.0]]
-        )  # how near to instability is seen from the origin
+        parts.append([0.0])  # how near to instability is seen from the origin
+        z = np.concatenate([np.ravel(part) for part in parts])
         extent = np.ptp(z.real), np.ptp(z.imag)
         size = max(*extent, 1e-3 * np.abs(z).max(), np.finfo(float).tiny)
         limits = []
@@ -399,10 +387,6 @@ class EigenvalueDisplay(Display):
         self.ax_.axhspan(-0.5 * self.omega, 0.5 * self.omega, alpha=0.5, **style)
 
 
-def _corners(right, up):
-    return [np.array([right * a + 1j * up * b]) for a in (-1, 1) for b in (-1, 1)]
-
-
 def _eigenvalue_table(model):
     if isinstance(model, pd.DataFrame):
         return model
@@ -410,9 +394,18 @@ def _eigenvalue_table(model):
 
 
 def _found(estimator, last):
-    """Eigenvalues of the model of an estimator: matched, or of its last step."""
+    """Eigenvalues of the model of an estimator: matched, or of its last step.
+
+    Floquet exponents of periodic structures; with deviations if known.
+    """
     matcher = find_step(estimator, StructuredMatcher)
-    return last.model_.exponents() if matcher is None else _matched(matcher)
+    if matcher is None:
+        return last.model_.exponents()
+    if hasattr(matcher, "eigenvalues_"):  # after maximum likelihood
+        return matcher.eigenvalues_
+    if hasattr(matcher, "ltp_"):  # of a periodic structure
+        return matcher.ltp_.floquet_exponents()
+    return matcher.system_.poles()
 
 
 def _doubts(estimator, found):
@@ -432,15 +425,6 @@ def _poles_of(system):
     if isinstance(system, LTPSystem):
         return system.floquet_exponents()
     return continuous_poles(system.poles(), sample_time(system))
-
-
-def _matched(matcher):
-    """Eigenvalues (Floquet exponents of periodic structures), with deviations if known."""
-    if hasattr(matcher, "eigenvalues_"):  # after maximum likelihood
-        return matcher.eigenvalues_
-    if hasattr(matcher, "ltp_"):  # of a periodic structure
-        return matcher.ltp_.floquet_exponents()
-    return matcher.system_.poles()
 
 
 def _of_truth(true):

@@ -1,7 +1,6 @@
 """Harmonic transfer functions: models against what a record says without one."""
 
 import numpy as np
-import pandas as pd
 
 from sklearn_hd._checks import FIRST, PERIOD_TOLERANCE
 from sklearn_hd._clock import read_time
@@ -14,6 +13,7 @@ from sklearn_hd.plotting._display import (
     GREY,
     Display,
     by_label,
+    by_segment,
     check_periodic,
     chosen,
     dress,
@@ -296,24 +296,15 @@ def _about_trim(estimator, X, y):
         raise ValueError("X was given without y; give both, or neither")
     step, handed = last_model_step(estimator, X)
     experiment = read_experiment(step.transform(handed), y)
-    outputs = experiment.outputs
-    if experiment.basis.reading == "sample":
-        _check_grid(experiment.basis)
+    basis, outputs = experiment.basis, experiment.outputs
+    if basis.reading == "sample":
+        _check_grid(basis)
         loads = step_of_samples(estimator, "HarmonicTransferFunctionDisplay").loads_.to_numpy()
         psi = experiment.phases
         outputs = [y - evaluate_harmonics(loads, p) for y, p in zip(outputs, psi, strict=True)]
-    keys = range(len(experiment.base.segments))
-    names = [[s for s, _ in kept] for kept in (experiment.basis.inputs, experiment.basis.outputs)]
     return (
-        pd.concat(
-            [
-                pd.DataFrame(values, pd.Index(time, name="time"), columns)
-                for values, time in zip(blocks, experiment.times(), strict=True)
-            ],
-            keys=keys,
-            names=["record"],
-        )
-        for blocks, columns in zip((experiment.inputs, outputs), names, strict=True)
+        by_segment(experiment, experiment.inputs, [signal for signal, _ in basis.inputs]),
+        by_segment(experiment, outputs, [signal for signal, _ in basis.outputs]),
     )
 
 

@@ -154,7 +154,7 @@ class HarmonicsDisplay(Display, axes="two Axes a signal, it and its coefficients
             harmonics,
             segments=record.segments,
             axis=record.axis,
-            title=None if record.label is None else f"record {record.label}",
+            title=record.title,
             about_trim=basis.input_trim is not None,
         )
         return display.plot(ax=ax, span=span, units=units)
@@ -177,13 +177,12 @@ class HarmonicsDisplay(Display, axes="two Axes a signal, it and its coefficients
         return self
 
     def _draw(self, signal, names, above, below, span, units):
-        time = self.signals.index.to_numpy()
-        t, values = unbroken(time, self.signals[signal].to_numpy(), self.segments, span)
-        self.signal_lines_ += above.plot(t, values, color=GREY, lw=0.8)
+        line = unbroken(self.signals[signal], self.segments, span)
+        self.signal_lines_ += above.plot(*line, color=GREY, lw=0.8)
         dress(above, y=with_unit(signal, units))
         for name, look in zip(names, looks(LINES, len(names)), strict=True):
-            t, values = unbroken(time, self.coefficients[name].to_numpy(), self.segments, span)
-            self.coefficient_lines_ |= {name: below.plot(t, values, label=name, **look)[0]}
+            line = unbroken(self.coefficients[name], self.segments, span)
+            self.coefficient_lines_[name] = below.plot(*line, label=name, **look)[0]
         what = "coefficients" if not self.about_trim else "coefficients\nabout trim"
         dress(below, y=with_unit(what, {what: unit_of(signal, units)}))
         above.tick_params(labelbottom=False)

@@ -176,9 +176,8 @@ class SingularValueDisplay(Display):
 
     def _gap(self, values):
         """Width of the gap, in words."""
-        if self.search is not None:
-            return "order chosen"
-        if not 0 < self.order < len(values) or values[self.order] <= 0.0:
+        cut_by_gap = self.search is None and 0 < self.order < len(values)
+        if not cut_by_gap or values[self.order] <= 0.0:
             return "order chosen"
         return f"gap ×{number(values[self.order - 1] / values[self.order])}"
 
@@ -351,24 +350,13 @@ class OrderSelectionDisplay(Display):
         self._panels(ax, (6.4, 4.0))
         self._draw_lines(good, misfit)
         best = good.loc[good["score"].idxmax()]
-        self.limit_ = self.ax_.axhline(
-            _shown(best["score"] - best["error"], misfit),
-            color=GREY,
-            ls="--",
-            lw=1.0,
-            label="one standard error from the best",
-        )
+        style = {"color": GREY, "ls": "--", "lw": 1.0, "label": "one standard error from the best"}
+        self.limit_ = self.ax_.axhline(_shown(best["score"] - best["error"], misfit), **style)
         self.chosen_ = None
         if self.chosen is not None and self.chosen in good.index:
-            row = good.loc[self.chosen]
+            place = self._places[self.chosen], _shown(good.loc[self.chosen, "score"], misfit)
             style = {"color": BLACK, "mfc": "none", "ms": 14, "mew": 1.5, "ls": ""}
-            (self.chosen_,) = self.ax_.plot(
-                self._places[self.chosen],
-                _shown(row["score"], misfit),
-                "o",
-                label="chosen",
-                **style,
-            )
+            (self.chosen_,) = self.ax_.plot(*place, "o", label="chosen", **style)
         self._mark_failed(good)
         self.ax_.set_xticks(sorted(set(self.results["order"])))
         if misfit:
@@ -412,13 +400,10 @@ class OrderSelectionDisplay(Display):
         self.failed_ = None
         if len(failed):
             style = {"color": BLACK, "ls": "", "ms": 7, "clip_on": False}
+            style |= {"label": "failed or unstable on some fold"}
+            orders, bottom = sorted(set(failed)), self.ax_.get_xaxis_transform()
             (self.failed_,) = self.ax_.plot(
-                sorted(set(failed)),
-                [0.0] * failed.nunique(),
-                "x",
-                transform=self.ax_.get_xaxis_transform(),
-                label="failed or unstable on some fold",
-                **style,
+                orders, [0.0] * len(orders), "x", transform=bottom, **style
             )
 
 
@@ -471,9 +456,8 @@ class ConvergenceDisplay(Display):
     """
 
     def __init__(self, history):
-        missing = [
-            name for name in ("stage", "error") if name not in getattr(history, "columns", ())
-        ]
+        columns = getattr(history, "columns", ())
+        missing = [name for name in ("stage", "error") if name not in columns]
         if missing:
             raise ValueError(
                 f"history lacks the column {missing[0]!r}; give a DataFrame with the columns "
@@ -519,14 +503,9 @@ class ConvergenceDisplay(Display):
             style = styles[name] | {"ms": 5, "lw": 1.3, "label": label}
             self.lines_[name] += self.ax_.semilogy(iteration[span], drawn[span], **style)
             start = stop
-        self.end_ = self.ax_.annotate(
-            number(error[-1]),
-            (iteration[-1], drawn[-1]),
-            xytext=(6, 0),
-            textcoords="offset points",
-            va="center",
-            fontsize=9,
-        )
+        style = {"textcoords": "offset points", "va": "center", "fontsize": 9}
+        last = iteration[-1], drawn[-1]
+        self.end_ = self.ax_.annotate(number(error[-1]), last, xytext=(6, 0), **style)
         dress(self.ax_, x="iteration (–)", y="relative error, in the norm of the stage (–)")
         self.ax_.xaxis.get_major_locator().set_params(integer=True)
         self.ax_.margins(x=0.08)

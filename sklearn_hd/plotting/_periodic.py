@@ -14,6 +14,7 @@ from sklearn_hd.plotting._display import (
     check_periodic,
     complex_number,
     dress,
+    grid_of,
     line_styles,
     looks,
     periodic_system,
@@ -115,8 +116,8 @@ class ParticipationDisplay(Display, axes="one Axes a state"):
         known = set(self.shares.columns)
         modes = [z for z in self.shares if z.imag >= 0.0 or z.conjugate() not in known]
         names = self._names(modes)
-        columns = min(len(states), 2 if len(states) <= 4 else 3 if len(states) <= 9 else 4)
-        rows = -(-len(states) // columns)
+        most = 2 if len(states) <= 4 else 3 if len(states) <= 9 else 4
+        rows, columns = grid_of(len(states), most=most)
         size = max(4.2, 3.5 * columns), 0.7 + 2.5 * rows
         cells = places(len(states), columns)
         panels = self._panels(ax, size, cells, share_x="all", share_y="all")
@@ -352,15 +353,13 @@ def _names(system, matrix):
 
 def _entries(label, system, matrix, psi, rows, columns):
     """Values over the period, rows and columns in the order of some names."""
-    own = _names(system, matrix)
-    for found, wanted in zip(own, (rows, columns), strict=True):
+    places = []
+    for found, wanted in zip(_names(system, matrix), (rows, columns), strict=True):
         if set(found) != set(wanted):
             raise ValueError(
                 f"{label!r} has the names {found}, but the others have {wanted}, and entries in "
                 f"different coordinates cannot be compared; give the same names, or compare "
                 f"responses (HarmonicTransferFunctionDisplay)"
             )
-    places = [
-        [found.index(n) for n in wanted] for found, wanted in zip(own, (rows, columns), strict=True)
-    ]
+        places.append([found.index(name) for name in wanted])
     return np.asarray(getattr(system, matrix)(psi))[np.ix_(range(len(psi)), *places)]

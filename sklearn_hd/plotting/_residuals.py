@@ -26,6 +26,7 @@ from sklearn_hd.plotting._display import (
 )
 
 BAND = 0.99  # of the correlations of noise lie within
+BAND_REACH = stats.norm.ppf(0.5 + 0.5 * BAND)  # standard deviations to either side
 
 
 @dataclass(eq=False, repr=False)
@@ -187,7 +188,7 @@ class ResidualDisplay(Display, axes="two Axes an output, three of a machine that
         asked = self.tests.loc[[name for name in tests if name in self.tests.index]]
         worst = asked["p_value"].min()
         word = "noise" if asked["passed"].all() else "not noise"
-        return f"{word} (p = {number(float(f'{worst:.1g}'))})" if len(asked) else ""
+        return f"{word} (p = {number(worst, 1)})" if len(asked) else ""
 
     def _draw_own(self, name, axis):
         values = self.autocorrelation[name]
@@ -211,7 +212,7 @@ class ResidualDisplay(Display, axes="two Axes an output, three of a machine that
     def _draw_phases(self, name, axis, units):
         mean, std = self.by_phase[name, "mean"], self.by_phase[name, "std"]
         psi, n = self.by_phase.index.to_numpy(), self.n_rows / len(self.by_phase)
-        reach = stats.norm.ppf(0.5 + 0.5 * BAND) * std / np.sqrt(n)
+        reach = BAND_REACH * std / np.sqrt(n)
         axis.axhline(0.0, color=GREY, lw=0.8)
         style = {"color": BLUE, "alpha": 0.25, "lw": 0, "label": f"its {BAND:.0%} interval"}
         axis.fill_between(psi, mean - reach, mean + reach, **style)
@@ -249,7 +250,7 @@ def _correlations(left, lags):
     index = pd.RangeIndex(-lags, lags + 1, name="lag")
     values = [(crossed[lag] / np.outer(e_size, u_size)).ravel() for lag in both]
     crossed = pd.DataFrame(np.reshape(values, (len(both), -1)), index, pairs)
-    reach = stats.norm.ppf(0.5 + 0.5 * BAND) / np.sqrt(left.n_rows)
+    reach = BAND_REACH / np.sqrt(left.n_rows)
     bands = {name: float(reach) for name in outputs}
     for o, i in np.ndindex(len(outputs), len(inputs)):
         alike = sum(R[k][o, o] * U[k][i, i] for k in both) / (e_size[o] * u_size[i]) ** 2

@@ -1,6 +1,7 @@
 """Measured against simulated responses."""
 
 from dataclasses import KW_ONLY, dataclass
+from functools import reduce
 
 import numpy as np
 import pandas as pd
@@ -20,6 +21,7 @@ from sklearn_hd.plotting._display import (
     Display,
     Record,
     by_label,
+    compared_names,
     dress,
     fitted_step,
     grid_of,
@@ -188,8 +190,7 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output, or t
         step = next(iter(runs.values()))[0]
         whole = Record(X, record, step.basis_.timing)
         rows = _rows_of_all([run[-1] for run in runs.values()], whole)
-        harmonics = step.predicts_harmonics_  # the signals that they make up are compared
-        names = list(dict(step.basis_.outputs)) if harmonics else list(step.target_names_)
+        names = compared_names(step)
         time = np.full(len(whole.rows), np.nan)
         time[whole.rows] = whole.time
         index = pd.Index(time[rows], name="time")
@@ -215,7 +216,7 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output, or t
             segments=_runs(rows),
             validation_span=validation_span,
             axis=whole.axis,
-            title=None if whole.label is None else f"record {whole.label}",
+            title=whole.title,
             loads=periodic[first] if loads else None,
             motion=motion,
         )
@@ -270,7 +271,7 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output, or t
             segments=whole.segments,
             validation_span=validation_span,
             axis=whole.axis,
-            title=None if whole.label is None else f"record {whole.label}",
+            title=whole.title,
             measured_name=measured_name,
         )
         return display.plot(ax=ax, span=span, units=units)
@@ -288,7 +289,7 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output, or t
             table = _within(self.inputs[[name]], span)
             style = {"color": BLACK, "lw": 1.2, "drawstyle": "steps-post"}
             t = table.index.to_numpy()
-            self.input_lines_ |= {name: axis.plot(t, table[name].to_numpy(), **style)[0]}
+            self.input_lines_[name] = axis.plot(t, table[name].to_numpy(), **style)[0]
             dress(axis, y=with_unit(name, units))
         for name, axis in zip(outputs, self.axes_[len(inputs) : split], strict=True):
             self._draw(name, axis, span, units)
@@ -351,11 +352,8 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output, or t
         self.validation_fit_ = fits(inside) if inside.any() else None
 
     def _draw(self, name, axis, span, units):
-        time = self.measured.index.to_numpy()
-
         def line(table, style):
-            t, values = unbroken(time, table[name].to_numpy(), self.segments, span)
-            return axis.plot(t, values, **style)[0]
+            return axis.plot(*unbroken(table[name], self.segments, span), **style)[0]
 
         style = REFERENCE | {"lw": 2.6, "label": self.measured_name}
         self.measured_lines_[name] = line(self.measured, style)
@@ -367,10 +365,10 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output, or t
         dress(axis, y=with_unit(name, units), title=self._words(name), small=small)
 
     def _draw_parts(self, name, axis, span, units):
-        time, sizes = self.measured.index.to_numpy(), []
+        sizes = []
         for (what, table), look in zip(self.parts_.items(), looks(LINES[1:], 3), strict=True):
-            t, values = unbroken(time, table[name].to_numpy(), self.segments, span)
-            self.part_lines_[what, name] = axis.plot(t, values, **look | {"label": what})[0]
+            line = unbroken(table[name], self.segments, span)
+            self.part_lines_[what, name] = axis.plot(*line, **look | {"label": what})[0]
             sizes.append(number(float(f"{np.std(table[name]):.2g}")))
         words = "std: loads {}, inputs {}, residual {}".format(*sizes)
         small = len(self.measured.columns) > 3
@@ -413,9 +411,7 @@ def _percent(fits):
 
 def _rows_of_all(rows, record):
     """Rows of a record that every model answers for."""
-    common = rows[0]
-    for others in rows[1:]:
-        common = np.intersect1d(common, others)
+    common = reduce(np.intersect1d, rows)
     common = common[record.rows[common]]
     if len(common) == 0:
         raise ValueError(

@@ -24,6 +24,7 @@ from sklearn_hd.plotting._display import (
     RED,
     SKY,
     Display,
+    by_segment,
     dress,
 )
 from sklearn_hd.subspace import MOESPRegressor
@@ -186,7 +187,8 @@ class StabilizationDisplay(Display, axes="two Axes, of frequency and of decay"):
         block_rows, n_outputs = first.block_rows_, len(first.model_.output_names)
         if orders is None:
             orders = range(1, min(first.order_ + 4, (block_rows - 1) * n_outputs) + 1)
-        signals = _outputs(X, y)
+        experiment = read_experiment(X, y)
+        signals = by_segment(experiment, experiment.outputs, list(experiment.output_names))
         sizes = signals.std()
         found, orders = {}, sorted(set(orders))
         with warnings.catch_warnings(), candidates():
@@ -202,7 +204,7 @@ class StabilizationDisplay(Display, axes="two Axes, of frequency and of decay"):
         orders = sorted(set(self.modes["order"]))
         height = min(8.0, max(3.6, 1.6 + 0.22 * len(orders)))
         panels = self._panels(ax, (8.0, height), [(0, 0), (0, 1)], share_y="all")
-        upper = self.modes[[z.imag >= 0.0 for z in self.modes["eigenvalue"]]]
+        upper = self.modes[self.modes["eigenvalue"].to_numpy(complex).imag >= 0.0]
         told = _told(upper)
         self.points_, self.chosen_ = {}, []
         self._rows, self.picks_ = {}, []
@@ -210,7 +212,7 @@ class StabilizationDisplay(Display, axes="two Axes, of frequency and of decay"):
         for axis, part in zip(self.axes_, ("imag", "real"), strict=True):
             for what, (marker, size, colour, words) in MARKS.items():
                 modes = upper[told == what]
-                values = [getattr(z, part) for z in modes["eigenvalue"]]
+                values = getattr(modes["eigenvalue"].to_numpy(complex), part)
                 style = {"marker": marker, "ms": size, "color": colour, "ls": "", "label": words}
                 (line,) = axis.plot(values, modes["order"].to_numpy(), picker=6, **style)
                 self.points_.setdefault(what, []).append(line)
@@ -260,10 +262,10 @@ class StabilizationDisplay(Display, axes="two Axes, of frequency and of decay"):
         self.picked_ = _picked(self.modes.loc[rows])
         for ring in self.picks_:
             ring.remove()
-        z, orders = self.picked_["eigenvalue"], self.picked_["order"].to_numpy()
+        z, orders = self.picked_["eigenvalue"].to_numpy(complex), self.picked_["order"].to_numpy()
         style = {"color": RED, "marker": "o", "ms": 11, "mfc": "none", "mew": 1.6, "ls": ""}
         self.picks_ = [
-            axis.plot([getattr(value, part) for value in z], orders, **style)[0]
+            axis.plot(getattr(z, part), orders, **style)[0]
             for axis, part in zip(self.axes_, ("imag", "real"), strict=True)
         ]
         self.figure_.canvas.draw_idle()
@@ -272,7 +274,7 @@ class StabilizationDisplay(Display, axes="two Axes, of frequency and of decay"):
         """The view of decays: as far left as steady modes are, for memory may die at once."""
         if len(steady) == 0:
             return
-        real = np.array([z.real for z in steady["eigenvalue"]])
+        real = steady["eigenvalue"].to_numpy(complex).real
         size = np.abs(real).max()
         self.axes_[1].set_xlim(
             min(real.min(), 0.0) * 1.15 - 0.05 * size, max(real.max(), 0.0) + 0.15 * size
@@ -367,19 +369,6 @@ def _picked(modes):
     table["frequency"] = np.abs(z)
     table["damping_ratio"] = -z.real / np.maximum(np.abs(z), TINY)
     return table
-
-
-def _outputs(X, y):
-    """The outputs of a fit by record and seconds."""
-    experiment = read_experiment(X, y)
-    return pd.concat(
-        {
-            k: pd.DataFrame(values, index=times, columns=list(experiment.output_names))
-            for k, (values, times) in enumerate(
-                zip(experiment.outputs, experiment.times(), strict=True)
-            )
-        }
-    )
 
 
 def _spectrum(signals):

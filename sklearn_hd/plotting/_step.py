@@ -3,12 +3,12 @@
 from dataclasses import KW_ONLY, dataclass, field
 
 import numpy as np
-from scipy.stats import norm
 
 from sklearn_hd._checks import check_positive
 from sklearn_hd.algorithms.lti.simulation import continuous_poles, step_response
 from sklearn_hd.plotting._display import (
     BLACK,
+    REACH,
     TIME,
     Display,
     between_same_signals,
@@ -186,11 +186,9 @@ class StepResponseDisplay(Display, axes="one Axes for each pair of signals"):
         ValueError
             If a signal asked for is not there.
         """
-        pairs, columns = chosen_pairs(inputs, outputs, self)
-        cells = places(len(pairs), columns)
-        rows = cells[-1][0] + 1
+        pairs, (rows, columns) = chosen_pairs(inputs, outputs, self)
         size = max(5.0, 3.4 * columns), 0.8 + 2.4 * rows
-        panels = self._panels(ax, size, cells, share_x="all")
+        panels = self._panels(ax, size, places(len(pairs), columns), share_x="all")
         styles = line_styles(self.responses, self.reference)
         self.lines_, self.bands_, self._edges = {}, {}, []
         for k, (o, i) in enumerate(pairs):
@@ -213,7 +211,7 @@ class StepResponseDisplay(Display, axes="one Axes for each pair of signals"):
             style = styles[label] | {"drawstyle": "steps-post" if stairs else "default"}
             self.lines_[key] = axis.plot(time, y, label=label, **style)[0]
             if label in self.std:
-                reach = norm.ppf(0.975) * self.std[label][:, o, i]  # on either side of 95 %
+                reach = REACH * self.std[label][:, o, i]
                 look = {"color": styles[label]["color"], "alpha": 0.25, "lw": 0}
                 self._edges.append((axis, y - reach, y + reach))
                 step = "post" if stairs else None
