@@ -37,6 +37,13 @@ class TimeBase:
     jitter: tuple = (0.0, 0.0)
     uncertainty: float = 0.0  # standard error of ``sample_time`` that the jitter leaves, seconds
 
+    def steps(self):
+        """The mean step of each segment of several rows, seconds."""
+        for rows in self.segments:
+            if rows.stop - rows.start > 1:
+                time = self.time[rows]
+                yield (time[-1] - time[0]) / (len(time) - 1)
+
     def rows_of_records(self):
         """Rows and label of each record, whatever gaps are in it."""
         segments, time = self.segments, self.time

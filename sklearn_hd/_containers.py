@@ -308,3 +308,13 @@ def _culprit(data):
         except (TypeError, ValueError, OverflowError):
             return f" (column {str(name)!r})"
     return ""
+
+
+def warn_if_counted(base, why="no times given", step=""):
+    """Warn of rows that count as samples."""
+    if base.counted:
+        warn(
+            f"{why}: rows count as samples, {base.sample_time:.4g} s apart{step}, of one "
+            f"contiguous record that starts at psi = 0; use a DataFrame indexed by seconds",
+            TimeBaseWarning,
+        )

@@ -188,14 +188,14 @@ def warn_of_orbit(simulators, outputs):
     """Warn of an orbit that may be off by more than a tenth of the motion predicted about it."""
     model = simulators[0].model
     off = getattr(model, "orbit_deviation", None)
-    if off is None or any(searches()):
+    if off is None or any(searches()) or not any(map(_inputs_move, simulators)):
         return
     about = [
         y - model.outputs_at_rest(simulator.psi)
         for simulator, y in zip(simulators, outputs, strict=True)
     ]
     motion, whole = (np.sqrt(np.mean(np.vstack(each) ** 2, axis=0)) for each in (about, outputs))
-    share = off / np.where(motion > HALF * whole, motion, np.inf)  # of a machine at rest none
+    share = off / np.where(motion > HALF * whole, motion, np.inf)  # of rounding none
     most = int(np.argmax(share))
     if share[most] > MOST_OFF:
         warn(
@@ -206,6 +206,13 @@ def warn_of_orbit(simulators, outputs):
             f"smaller motions, or one with turns at rest",
             IdentifiabilityWarning,
         )
+
+
+def _inputs_move(simulator):
+    """Whether the inputs of a segment are other than those of a machine at rest."""
+    model, u = simulator.model, simulator.drive
+    moving = model.moving(u, simulator.psi) if model.trim_in_inputs else u
+    return bool(np.any(np.abs(moving) > HALF * np.max(np.abs(u), initial=0.0)))
 
 
 def spectral_peak(segments):

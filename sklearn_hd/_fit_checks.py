@@ -17,7 +17,7 @@ from sklearn_hd.exceptions import (
 
 HALF_KEPT = 0.5  # of what neighbouring samples share, that rows read have to
 LINES = 20  # harmonics of an orbit that are looked for
-MOST_OF_IT = 0.5  # of an output's variance
+MOST_OF_IT = 0.5  # of an output's variance, of an input's motion
 LOST = 1e8  # times growth beside which rounding leaves half of the digits of what decays
 MIN_PERIODS = 6  # to see a rate in
 CALM = 1e6  # times growth that leaves most of them
@@ -32,6 +32,8 @@ def warn_of_data(experiment):
     if experiment.basis.reading != "sample":
         warn_of_offset(experiment)
         warn_of_growing_data(experiment)
+    if not experiment.basis.harmonic:
+        _warn_of_mean(experiment)
 
 
 def warn_of_mismatch(experiment):
@@ -168,6 +170,33 @@ def warn_of_offset(experiment):
         f"linear model rests only where its inputs are zero: subtract the rest values, and scale "
         f"inputs without shifting them (StandardScaler(with_mean=False), MaxAbsScaler), or give "
         f"HarmonicAnalyzer a trim_span of rows at rest",
+        IdentifiabilityWarning,
+    )
+
+
+def _warn_of_mean(experiment):
+    """Warn of plain outputs whose mean is larger than their motion, while inputs have hardly one.
+
+    A gain that makes such a mean of that of the inputs would make more motion of their motion.
+    """
+    u, y = np.vstack(experiment.inputs), np.vstack(experiment.outputs)
+    if searching() or not u.size or len(y) < LINES:
+        return
+    (u_mean, u_size), (y_mean, y_size) = ((z.mean(axis=0), z.std(axis=0)) for z in (u, y))
+    held = np.any(np.abs(u_mean) > MOST_OF_IT * u_size)
+    halves = np.array([half.mean(axis=0) for half in np.array_split(y, 2)])
+    lasting = np.ptp(halves, axis=0) < y_size  # else outputs drift, or grow
+    off = (np.abs(y_mean) > y_size) & lasting & (y_size > 0.0)
+    if held or not np.any(off):
+        return
+    found = ", ".join(
+        f"{experiment.output_names[i]!r} {y_mean[i]:.3g} ± {y_size[i]:.2g}"
+        for i in np.flatnonzero(off)
+    )
+    warn(
+        f"outputs have a mean larger than their motion ({found}), and the inputs have hardly one: "
+        f"a linear model rests at zero, and would need a mode for that mean; subtract what the "
+        f"outputs are at rest, or y - y.mean()",
         IdentifiabilityWarning,
     )
 

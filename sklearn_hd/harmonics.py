@@ -14,7 +14,7 @@ from sklearn_hd._checks import (
     check_phase,
 )
 from sklearn_hd._clock import why_short
-from sklearn_hd._containers import check_has_signals, check_upright
+from sklearn_hd._containers import check_has_signals, check_upright, warn_if_counted
 from sklearn_hd._fit_checks import lasting_hop, motion_kept
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
 from sklearn_hd._guards import warn, within_range
@@ -283,7 +283,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         outputs, output_names = None, ()
         if y is not None and not is_decomposed(y):
             outputs, output_names = read_values(y, X, inputs.base, timing)
-        _warn_if_counted(inputs.base)
+        warn_if_counted(inputs.base)
         if not inputs.base.counted:
             timing = replace(timing, row_time=inputs.base.sample_time)
         omega = settled_omega(self, inputs, outputs, timing)
@@ -348,7 +348,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         X = check_features(self, X, reset=False)
         signals = read_signals(X, basis.timing)
         if basis.timing.row_time is not None:
-            _warn_if_counted(signals.base, "X had times at fit, but has none now", " as at fit")
+            warn_if_counted(signals.base, "X had times at fit, but has none now", " as at fit")
         sampling, inputs, _ = sample(signals, basis)
         lengths = [len(piece.grid) for piece in sampling.pieces]
         few = sum(length < len(basis.weights) for length in lengths)
@@ -516,14 +516,5 @@ def _warn_of_few(base, omega):
             f"the rows of X are {base.sample_time:.4g} s apart, {1.0 / samples:.3g} turns of "
             f"omega={omega:.4g} rad/s, so they do not show what happens in a turn; give the times "
             f"of X in seconds, as at fit",
-            TimeBaseWarning,
-        )
-
-
-def _warn_if_counted(base, why="no times given", step=""):
-    if base.counted:
-        warn(
-            f"{why}: rows count as samples, {base.sample_time:.4g} s apart{step}, of one "
-            f"contiguous record that starts at psi = 0; use a DataFrame indexed by seconds",
             TimeBaseWarning,
         )

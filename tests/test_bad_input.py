@@ -14,7 +14,12 @@ from sklearn_hd import (
     SpuriousModeReducer,
     StructuredMatcher,
 )
-from sklearn_hd.exceptions import ExcitationWarning, InstabilityWarning, UnstableModelError
+from sklearn_hd.exceptions import (
+    ExcitationWarning,
+    FrequencyMismatchWarning,
+    InstabilityWarning,
+    UnstableModelError,
+)
 from sklearn_hd.model_selection import fit_percent_scorer, simulation_scorer
 
 OMEGA = 2 * np.pi
@@ -221,6 +226,23 @@ def test_azimuth_column(u, case):
     X = u.assign(psi=change(OMEGA * u.index.to_numpy()))
     with pytest.raises(ValueError, match=message):
         HarmonicAnalyzer(azimuth="psi").fit(X)
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("degrees", 180.0 / np.pi), ("turns", 0.5 / np.pi)])
+def test_an_azimuth_in_another_unit_is_told_by_the_orbit(unit, scale):
+    psi = 2.0 * np.pi * np.arange(12_000) / 150
+    rng = np.random.default_rng(3)
+    y = pd.DataFrame({"flap": np.cos(psi) + 0.3 * np.sin(2.0 * psi)}) + 0.3 * rng.standard_normal(
+        (12_000, 1)
+    )
+    index = pd.Index(0.01 * np.arange(12_000), name="time")
+    inputs = rng.standard_normal(12_000)
+    analyzer = HarmonicAnalyzer(azimuth="psi", reading="sample")
+    analyzer.fit(pd.DataFrame({"u": inputs, "psi": psi}, index), y.set_index(index))  # no warning
+    X = pd.DataFrame({"u": inputs, "psi": scale * psi}, index)
+    message = rf"column 'psi' if that is in {unit} \(79.99 turns in the record\), .* give radians"
+    with pytest.warns(FrequencyMismatchWarning, match=message):
+        analyzer.fit(X, y.set_index(index))
 
 
 def test_azimuth_sampled_too_slowly(u):

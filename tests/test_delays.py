@@ -20,6 +20,7 @@ from sklearn_hd import (
     StructuredMatcher,
 )
 from sklearn_hd._exported import contents
+from sklearn_hd.algorithms.lti.simulation import simulate
 from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.systems import mathieu
 
@@ -125,6 +126,27 @@ def test_a_structure_tells_the_delays_of_both():
 def test_wrong_delays_are_refused(delays, words):
     with pytest.raises(ValueError, match=words):
         MOESPRegressor(3, block_rows=8, **delays).fit(*plain_record())
+
+
+@pytest.mark.parametrize(("direct", "found"), [(0.2, 4.0), (1.0, 4.0)])
+def test_a_feedthrough_behind_a_delay_is_kept(direct, found):
+    """Without D nothing but another delay and other poles explains what inputs do at once."""
+    rng = np.random.default_rng(1)
+    u, y = np.repeat(rng.choice([-1.0, 1.0], 100), 20)[:, None], np.zeros((2000, 1))
+    y = simulate(
+        np.array([[0.97]]),
+        np.ones((1, 1)),
+        0.03 * np.ones((1, 1)),
+        np.array([[direct]]),
+        u,
+        np.zeros(1),
+    )
+    y = np.concatenate([np.zeros((4, 1)), y[:-4]]) + 0.01 * rng.standard_normal((2000, 1))
+    with pytest.warns(IdentifiabilityWarning, match=r"delays are the whole samples .* \(y0 4 s\)"):
+        model = MOESPRegressor(1, output_delay="auto").fit(u, y)
+    assert model.delays_["y0"] == found
+    assert model.model_.D[0, 0] == pytest.approx(direct, abs=0.01)
+    assert model.model_.A[0, 0] == pytest.approx(0.97, abs=0.002)
 
 
 def test_an_input_that_rests_tells_no_delay():

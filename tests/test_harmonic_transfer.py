@@ -9,6 +9,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn_hd.algorithms.lti.simulation import frequency_response
 from sklearn_hd.algorithms.periodic.floquet import transition_matrices
 from sklearn_hd.algorithms.periodic.harmonic_transfer import effective_averages
+from sklearn_hd.exceptions import TimeBaseWarning
 from sklearn_hd.systems import (
     LTPSystem,
     coupled_oscillators,
@@ -320,11 +321,15 @@ def test_coherence_falls_with_noise_as_it_should():
     """White input through a gain, noise of the same power: coherence 1/2 but for its bias."""
     rng = np.random.default_rng(6)
     u, e = rng.standard_normal((2, 100000, 1))
-    with_noise = estimate_harmonic_transfer_function(u, u + e, 0.4, 0, periods_per_segment=10)
+    with_noise = estimate_harmonic_transfer_function(
+        u, u + e, 0.4, 0, sample_time=1.0, periods_per_segment=10
+    )
     assert np.mean(with_noise.coherence) == pytest.approx(0.5, abs=0.01)
     power = np.mean(np.abs(with_noise.response - 1) ** 2) / np.mean(with_noise.std**2)
     assert power == pytest.approx(1.0, abs=0.15)
-    harmonics = estimate_harmonic_transfer_function(u, u + e, 0.4, 1, periods_per_segment=10)
+    harmonics = estimate_harmonic_transfer_function(
+        u, u + e, 0.4, 1, sample_time=1.0, periods_per_segment=10
+    )
     assert harmonics.n_averages == pytest.approx(with_noise.n_averages)
     assert harmonics.coherence.shape == (len(harmonics.frequencies), 3, 1)
 
@@ -343,7 +348,9 @@ def coloured_gains(seed):
 def test_each_entry_errs_by_its_own_standard_deviation():
     """Of every harmonic, output and input, where inputs are strong and where they are weak."""
     u, y, true = coloured_gains(8)
-    estimate = estimate_harmonic_transfer_function(u, y, 0.4, 1, periods_per_segment=40)
+    estimate = estimate_harmonic_transfer_function(
+        u, y, 0.4, 1, sample_time=1.0, periods_per_segment=40
+    )
     share = (np.abs(estimate.response - true) / estimate.std) ** 2
     for band in np.array_split(share, 2):
         np.testing.assert_allclose(np.mean(band, axis=0), 1.0, atol=0.3)
@@ -352,7 +359,7 @@ def test_each_entry_errs_by_its_own_standard_deviation():
 def test_units_of_a_signal_scale_the_entries_that_it_is_part_of():
     u, y, _ = coloured_gains(9)
     plain, scaled = (
-        estimate_harmonic_transfer_function(a, b, 0.4, 1, periods_per_segment=10)
+        estimate_harmonic_transfer_function(a, b, 0.4, 1, sample_time=1.0, periods_per_segment=10)
         for a, b in ((u, y), (u * [1e3, 0.2], y * [7.0, 1e-2]))
     )
     ratio = np.outer([7.0, 1e-2], [1e-3, 5.0])
@@ -451,6 +458,12 @@ def test_estimate_refuses_uneven_rows_and_missing_values():
         estimate_harmonic_transfer_function(u, u, 0.4, 1)
     u = pd.DataFrame(np.where(np.arange(1000) == 7, np.nan, 1.0), columns=["u"])
     with pytest.raises(ValueError, match=r"u contains NaN: column 'u'"):
+        estimate_harmonic_transfer_function(u, u, 0.4, 1, sample_time=1.0)
+
+
+def test_rows_without_times_are_said_to_count_as_seconds():
+    u = np.random.default_rng(1).standard_normal((2000, 1))
+    with pytest.warns(TimeBaseWarning, match=r"rows count as samples, 1 s apart"):
         estimate_harmonic_transfer_function(u, u, 0.4, 1)
 
 

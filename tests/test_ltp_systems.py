@@ -1,6 +1,7 @@
 """Linear time-periodic systems: laws, harmonic decompositions, shares of modes, errors."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import linalg
 
@@ -190,6 +191,31 @@ def test_ltp_system_refuses(arguments, message):
 def test_simulate_refuses(random_ltp, u, t, x0, message):
     with pytest.raises(ValueError, match=message):
         random_ltp.simulate(u, t, x0)
+
+
+def test_inputs_and_states_of_pandas_go_by_their_names(random_ltp, rng):
+    """In whatever order; names of other signals are refused, and none at all go by place."""
+    t = 0.1 * np.arange(20)
+    u, x0 = rng.standard_normal((20, 2)), rng.standard_normal(random_ltp.n_states)
+    y = random_ltp.simulate(u, t, x0)
+    named = pd.DataFrame(u, t, list(random_ltp.input_names))
+    states = pd.Series(x0, list(random_ltp.state_names))
+    given = random_ltp.simulate(named.iloc[:, ::-1], t, states.iloc[::-1])
+    np.testing.assert_array_equal(given, y)
+    np.testing.assert_array_equal(random_ltp.simulate(pd.DataFrame(u), t, x0), y)
+    with pytest.raises(
+        ValueError, match=r"u has the columns \['u1', 'thrust'\], but \['u1', 'u2'\]"
+    ):
+        random_ltp.simulate(named.rename(columns={"u2": "thrust"}), t)
+
+
+def test_a_matrix_of_a_single_azimuth_says_what_it_has_to_take():
+    with pytest.raises(
+        ValueError, match=r"F fails for two azimuths at once .* must return \(n_poi"
+    ):
+        LTPSystem(
+            lambda p: np.array([[0.0, 1.0], [-2.0 - np.cos(p), -0.3]]), np.ones((2, 1)), omega=1.0
+        )
 
 
 @pytest.mark.parametrize("value", [-1, 1.5, True, "2"])

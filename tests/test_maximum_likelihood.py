@@ -11,7 +11,14 @@ from periodic_cases import mathieu, record, synchronous
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.pipeline import Pipeline
 
-from sklearn_hd import HarmonicStructure, MatrixStructure, MOESPRegressor, StructuredMatcher
+from sklearn_hd import (
+    HarmonicStructure,
+    MatrixStructure,
+    MOESPRegressor,
+    SpuriousModeReducer,
+    StructuredMatcher,
+)
+from sklearn_hd.algorithms.lti.simulation import simulate
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
@@ -257,3 +264,22 @@ def test_noise_on_harmonics_of_the_inputs_is_not_that_of_the_inputs():
     pipe = Pipeline([*heave_pipeline(data.omega).steps, ("match", matcher)])
     with pytest.raises(ValueError, match="this model is driven by their harmonics"):
         pipe.set_params(harmonics__input_harmonics=1).fit(data.inputs, data.outputs)
+
+
+@pytest.mark.parametrize("criterion", ["output_error", "prediction_error"])
+def test_all_entries_are_free_behind_a_reducer_too(criterion):
+    rng = np.random.default_rng(2)
+    u = pd.DataFrame({"u": np.repeat(rng.choice([-1.0, 1.0], 100), 10)}, 0.05 * np.arange(1000))
+    A, B = np.array([[0.9, 0.2], [-0.2, 0.9]]), np.array([[0.0], [0.1]])
+    y = simulate(A, B, np.eye(2)[:1], np.zeros((1, 1)), u.to_numpy(), np.zeros(2))
+    y = pd.DataFrame(y + 0.01 * rng.standard_normal(y.shape), u.index, ["y"])
+    behind, direct = (
+        Pipeline([("identify", MOESPRegressor(order=2)), ("reduce", reduce), ("match", match)]).fit(
+            u, y
+        )
+        for reduce in (SpuriousModeReducer(), "passthrough")
+        for match in [StructuredMatcher(criterion=criterion)]
+    )
+    found, expected = (pipe["match"].eigenvalues_["eigenvalue"] for pipe in (behind, direct))
+    np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(expected), rtol=1e-4)
+    assert behind["match"].system_.dt == pytest.approx(0.05)

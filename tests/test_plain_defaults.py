@@ -33,6 +33,16 @@ def validated(model, u, y):
     return 100.0 * (1.0 - np.sqrt(1.0 - model.score(u, y)))
 
 
+def test_outputs_with_a_mean_that_inputs_have_not_are_told():
+    u, y = noisy(1, False)
+    MOESPRegressor(order=3).fit(u, y)  # no warning
+    MOESPRegressor(order=3).fit(u + 10.0, y + 1.0)  # a gain may make it
+    with pytest.warns(
+        IdentifiabilityWarning, match=r"outputs have a mean larger .* \('y1' 1e\+03 ±"
+    ):
+        MOESPRegressor(order=3).fit(u, y + np.array([0.0, 1e3]))
+
+
 # ---- measured records ------------------------------------------------------------------------
 
 

@@ -385,3 +385,9 @@ def test_matrices_of_other_coordinates_are_not_compared():
         PeriodicMatrixDisplay.from_systems(mathieu(), "A")
     with pytest.raises(ValueError, match="needs a linear time-periodic model"):
         PeriodicMatrixDisplay.from_estimator(cases.sliding())
+
+
+def test_a_discrete_truth_is_drawn_where_the_logarithm_of_its_poles_lies():
+    system = control.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1)
+    display = EigenvalueDisplay.from_systems(system, true=system)
+    np.testing.assert_allclose(display.true, np.log(0.5) / 0.1)

@@ -413,3 +413,16 @@ def test_times_in_another_unit_than_at_fit_are_told():
     analyzer = HarmonicAnalyzer(data.omega, reading="sample", trim_span=data.trim_span).fit(X)
     with pytest.warns(TimeBaseWarning, match=r"15\.6 turns of omega=.* in seconds, as at fit"):
         analyzer.transform(X.set_axis(X.index * 1000))
+
+
+def test_records_of_other_sample_times_are_told_by_these():
+    rng = np.random.default_rng(5)
+    parts = [
+        pd.DataFrame({"u": rng.standard_normal(300)}, dt * np.arange(300)) for dt in (0.02, 0.03)
+    ]
+    u = pd.concat(dict(enumerate(parts)), names=["record", "time"])
+    y = u.rename(columns={"u": "y"}).groupby("record").rolling(3, min_periods=1).mean().droplevel(0)
+    with pytest.warns(
+        JitterWarning, match=r"records have sample times of 0\.02 to 0\.03 s: signals"
+    ):
+        MOESPRegressor(order=2).fit(u, y)

@@ -39,7 +39,8 @@ from sklearn_hd.algorithms.likelihood.delay_search import Cells, first_answers, 
 from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.prediction_error import output_error_of
 from sklearn_hd.algorithms.likelihood.search import cost_of_best_inputs
-from sklearn_hd.algorithms.lti.simulation import discrete_to_continuous
+from sklearn_hd.algorithms.linalg.rounding import EXACT
+from sklearn_hd.algorithms.lti.simulation import discrete_to_continuous, simulate
 from sklearn_hd.algorithms.modes.free_decay import free_decay, smooth_parts, without_products
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
@@ -68,19 +69,60 @@ def without_delays(experiment, delays, settings, identify):
     experiment : Experiment
         That the fit is of.
     """
+    direct, plain = None, experiment.basis.reading == "plain"
     if delays.free.any():
         delays = _searched(experiment, delays)
         if settings.feedthrough == "auto":  # D and fractions of a sample make up for each other
+            if plain:
+                with held_back():  # its warnings are those of the other, which follow
+                    direct = _at(experiment, delays, replace(settings, feedthrough=True), identify)
             settings = replace(settings, feedthrough=False)
+    found = _at(experiment, delays, settings, identify)
+    if delays.free.any() and plain and not found[0].model.feedthrough:
+        refined = _refined(found[0].model, found[1])
+        if refined is not None:
+            found = _at(experiment, refined, settings, identify)
+    if direct is not None and _criterion(*direct) < _criterion(*found):
+        _warn_of_whole_samples(direct[1].delays)
+        return direct
+    if found[1].delays is not delays:
+        warn_of_doubt(found[1].delays)
+    return found
+
+
+def _warn_of_whole_samples(delays):
+    """Warn of delays of a record with a feedthrough."""
+    found = ", ".join(
+        f"{name} {seconds:.4g} s"
+        for name, seconds, free in zip(delays.names, delays.seconds, delays.free, strict=True)
+        if free
+    )
+    warn(
+        f"a model with a feedthrough leaves less of the record than fractions of a sample do, so "
+        f"the delays are the whole samples after which outputs first answer ({found}): those of "
+        f"outputs that begin slowly may be some samples less; give the delays that you know",
+        IdentifiabilityWarning,
+    )
+
+
+def _at(experiment, delays, settings, identify):
+    """The fit of a record without some delays, its model with them, and that record."""
     machine = in_machine_time(experiment, delays)
     fit = identify(machine, settings)
-    if delays.free.any() and experiment.basis.reading == "plain" and not fit.model.feedthrough:
-        refined = _refined(fit.model, machine)
-        if refined is not None:
-            delays, machine = refined, in_machine_time(experiment, refined)
-            fit = identify(machine, settings)
-            warn_of_doubt(delays)
     return replace(fit, model=replace(fit.model, delays=delays)), machine
+
+
+def _criterion(fit, machine):
+    """Schwarz's criterion of what a simulation of a plain model leaves of the record."""
+    model, scale, squares = fit.model, output_scale(machine), 0.0
+    matrices = model.A, model.B, model.C, model.D
+    for u, y, x0 in zip(machine.inputs, machine.outputs, fit.x0, strict=True):
+        left = (y - simulate(*matrices, u, x0)) / scale
+        squares = squares + np.sum(left**2, axis=0)
+    n_rows = sum(map(len, machine.outputs))
+    n_free = sum(M.size for M in matrices) - (0 if model.feedthrough else model.D.size)
+    n_free += 0 if model.feedthrough else int(np.sum(model.delays.free))
+    return n_rows * np.sum(np.log(squares / n_rows + EXACT**2)) + n_free * np.log(n_rows)
 
 
 def _searched(experiment, delays):

@@ -196,13 +196,14 @@ def check_outputs_move(still, facts):
     if len(names) == len(still):
         raise ValueError(
             f"the outputs {names} repeat themselves with every turn in the {facts.span()}: there "
-            f"is no response to inputs to identify; check the columns of y, or use a record in "
-            f"which inputs move them"
+            f"is no response to inputs to identify; check the columns of y, subtract offsets "
+            f"beside which rounding hides their motion, or use a record in which inputs move them"
         )
     if names:
         warn(
             f"the outputs {names} repeat themselves with every turn in the {facts.span()}: no "
-            f"input moves them, so their model is only their loads",
+            f"input moves them (or rounding hides it: subtract large offsets), so their model is "
+            f"only their loads",
             IdentifiabilityWarning,
         )
 

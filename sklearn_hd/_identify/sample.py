@@ -39,7 +39,7 @@ from sklearn_hd._residuals import why_incomplete
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._simulators import without_gain
 from sklearn_hd.algorithms.likelihood.small_motions import AS_LITTLE
-from sklearn_hd.algorithms.linalg.rounding import EPS, HALF
+from sklearn_hd.algorithms.linalg.rounding import EPS, EXACT, HALF
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_predictor import LagSums, forced_mean
 from sklearn_hd.algorithms.signals.fourier import MOST_ROWS, mean_square
@@ -132,7 +132,10 @@ def read(experiment, settings):
     u_scale, y_scale = (root_mean_square(parts) for parts in list(zip(*segments, strict=True))[:2])
     check_told_from_loads(u_scale, experiment)
     taken = basis.output_trim if basis.about_trim else means[1]
-    still = y_scale <= HALF * np.max(np.abs(taken), axis=0)  # what rounding of ψ leaves
+    constant = taken.mean(axis=0) if basis.about_trim else taken[0]
+    waves = taken - constant if basis.about_trim else taken[1:]
+    still = HALF * np.max(np.abs(waves), axis=0, initial=0.0)  # what rounding of ψ leaves
+    still = y_scale <= np.maximum(still, EXACT * np.abs(constant))
     check_outputs_move(still, facts)
     warn_of_thinning(experiment, taken)
     y_scale = np.where(still, 1.0, y_scale)

@@ -25,6 +25,7 @@ from sklearn_hd._records.delays import as_measured, warn_of_doubt
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.algorithms.likelihood.free_form import free_form, highest
 from sklearn_hd.algorithms.likelihood.search import OverflowingStartError
+from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
@@ -274,6 +275,10 @@ def match_free(model, experiment, settings):
     It is an LTIModel of rows, or a SampleModel of samples at their azimuths.
     """
     of_samples = isinstance(model, SampleModel)
+    if not of_samples and model.dt == 0.0:  # behind a reducer
+        dt = experiment.base.sample_time
+        A, B = continuous_to_discrete(model.A, model.B, dt)
+        model = replace(model, A=A, B=B, dt=dt)
     start = model if of_samples else _as_samples(model)
     data = RecordData.of(experiment, True, model if of_samples else None, discrete=True)
     fit, sampled = _free(start, data, settings)

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+from scipy import linalg
 
 from sklearn_hd._checks import (
     PERIOD_TOLERANCE,
@@ -26,13 +27,17 @@ from sklearn_hd._readings import READINGS
 from sklearn_hd._records.data import given, sample
 from sklearn_hd._records.sampling import runs_of
 from sklearn_hd.algorithms.periodic.speed import measured_speed
+from sklearn_hd.algorithms.signals.fourier import MOST_ROWS, harmonic_functions
 from sklearn_hd.algorithms.signals.resampling import ON_GRID
-from sklearn_hd.algorithms.signals.trim import TURN, inputs_rest
+from sklearn_hd.algorithms.signals.trim import LEAST_TURNS, TURN, inputs_rest
 from sklearn_hd.exceptions import FrequencyMismatchWarning
 
 AUTO = "auto"
 ROWS_PER_PERIOD = 8
 ROWS_PER_TURN = 24  # kept of samples: 12 harmonics of the turn
+ANGLES = {"degrees": (np.pi / 180.0, "np.deg2rad({})"), "turns": (2.0 * np.pi, "2 * np.pi * {}")}
+ORBIT_ORDERS = range(5)  # harmonics of an orbit that is looked for in other units of the azimuth
+HALF_OF_IT = 0.5  # of what the azimuth as it is leaves of the outputs
 SLIGHT = 1e-4  # of the energy of the motion, 1 % of its size: what is less is no matter
 
 
@@ -219,7 +224,10 @@ def settled_omega(analyzer, inputs, outputs, timing):
         The mean speed by the azimuth where there is one.
     """
     if analyzer.azimuth is not None:
-        return inputs.mean_speed(analyzer.azimuth)[1]
+        omega = inputs.mean_speed(analyzer.azimuth)[1]
+        if outputs is not None:
+            _warn_of_unit(analyzer.azimuth, inputs.azimuth, outputs)
+        return omega
     omega, step = float(analyzer.omega), inputs.base.sample_time
     samples = 2.0 * np.pi / omega / step
     if outputs is None or not np.isfinite(samples) or samples <= 2.0:
@@ -233,6 +241,33 @@ def settled_omega(analyzer, inputs, outputs, timing):
     if found.moved > SLIGHT:
         _warn_of_another(found, omega)
     return found.omega
+
+
+def _warn_of_unit(name, azimuth, outputs):
+    """Warn of an azimuth by which outputs repeat themselves only if it is not in radians."""
+    known = np.isfinite(azimuth) & np.all(np.isfinite(outputs), axis=1)
+    azimuth, y = azimuth[known][:MOST_ROWS], outputs[known][:MOST_ROWS]
+    if not len(y):
+        return
+    y = y - y.mean(axis=0)
+    size = np.sqrt(np.mean(y**2, axis=0))
+    y = y / np.where(size > 0.0, size, 1.0)
+
+    def left(radians):
+        functions = harmonic_functions(radians * azimuth, ORBIT_ORDERS)
+        return np.sum((y - functions @ linalg.lstsq(functions, y)[0]) ** 2)
+
+    own, span = left(1.0), np.ptp(azimuth)
+    for unit, (radians, way) in ANGLES.items():
+        turns = radians * span / TURN
+        if turns >= LEAST_TURNS and left(radians) < HALF_OF_IT * own:
+            column = f"X[{name!r}]"
+            warn(
+                f"the outputs repeat themselves with the azimuth column {name!r} if that is in "
+                f"{unit} ({turns:.4g} turns in the record), not if it is in radians "
+                f"({span / TURN:.4g} turns): give radians, {way.format(column)}",
+                FrequencyMismatchWarning,
+            )
 
 
 def kept_every(samples):

@@ -168,7 +168,15 @@ def warn_of_jitter(base, step):
     cross-validation differ in the others.
     """
     rms, largest = (float(f"{100.0 * off / step:.1g}") for off in base.jitter)  # percent
-    if largest > 0.0:
+    steps = {float(f"{each:.4g}") for each in base.steps()}
+    if largest > 100.0 and len(steps) > 1:
+        warn(
+            f"the records have sample times of {min(steps):g} to {max(steps):g} s: signals are "
+            f"resampled onto a grid of {step:.4g} s, and results brought back to the rows given; "
+            f"what lies between rows is interpolated, so that residuals may not look like noise",
+            JitterWarning,
+        )
+    elif largest > 0.0:
         warn(
             f"the rows are not evenly spaced: they are off a grid of {step:.4g} s by "
             f"{rms / 100.0 * step:.2g} s rms ({rms:g} % of a sample) and by "

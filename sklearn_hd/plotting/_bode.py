@@ -164,6 +164,10 @@ class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude an
         panels = self._panels(ax, size, cells, heights=[1.3, 1.0] * rows, share_x="all")
         styles = line_styles(self.responses, self.reference)
         self.magnitude_lines_, self.phase_lines_, self.bands_, self._edges = {}, {}, {}, []
+        first = panels.axes[0]
+        first.set_xscale("log")
+        for axis in panels.axes:  # each change of one would go through all that share x
+            axis.set_autoscalex_on(False)
         for k, (o, i) in enumerate(pairs):
             self._draw(o, i, panels.axes[2 * k : 2 * k + 2], units, styles)
             panels.axes[2 * k].tick_params(labelbottom=False)
@@ -172,6 +176,8 @@ class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude an
             if k % columns == 0:
                 panels.axes[2 * k].set_ylabel(panels.axes[2 * k].get_ylabel() or "magnitude")
                 panels.axes[2 * k + 1].set_ylabel("phase (deg)")
+        first.set_autoscalex_on(True)
+        first.autoscale_view(scaley=False)
         name_confidence(
             self.figure_, [band for bands in self.bands_.values() for band in bands], self._edges
         )
@@ -180,13 +186,14 @@ class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude an
 
     def _draw(self, o, i, axes, units, styles):
         magnitude, phase = axes
+        magnitude.set_yscale("log")
         source, target = self.input_names[i], self.output_names[o]
         for label, response in self.responses.items():
             g, style = response[:, o, i], styles[label] | {"label": label}
             key, size = (label, target, source), np.abs(g)
             angle = _degrees(g)
-            self.magnitude_lines_[key] = magnitude.loglog(self.frequencies, size, **style)[0]
-            self.phase_lines_[key] = phase.semilogx(self.frequencies, angle, **style)[0]
+            self.magnitude_lines_[key] = magnitude.plot(self.frequencies, size, **style)[0]
+            self.phase_lines_[key] = phase.plot(self.frequencies, angle, **style)[0]
             if label in self.std:
                 self.bands_[key] = self._band(axes, g, angle, self.std[label][:, o, i], style)
         low, high = np.log10(magnitude.get_ylim())

@@ -428,8 +428,5 @@ def _poles_of(system):
 
 
 def _of_truth(true):
-    if isinstance(true, LTPSystem):
-        return true.floquet_exponents()
-    if hasattr(true, "poles"):
-        return true.poles()
-    return true
+    is_system = isinstance(true, LTPSystem) or hasattr(true, "poles")
+    return _poles_of(true) if is_system else true

@@ -438,8 +438,9 @@ def _table(data, what, prefix, record):
 def _within(table, span):
     if span is None:
         return table
+    start, stop = check_span("span", span)
     time = table.index.to_numpy()
-    return table[(time >= span[0]) & (time <= span[1])]
+    return table[(time >= start) & (time <= stop)]
 
 
 def _check_alike(measured, values, label, columns=True):

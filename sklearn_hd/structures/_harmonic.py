@@ -240,8 +240,15 @@ class HarmonicStructure(Structure):
         Raises
         ------
         ValueError
-            If shapes or labels do not fit the signals.
+            If shapes or labels do not fit the signals, or two of a kind share a name.
         """
+        for kind, names in (("states", states), ("inputs", inputs), ("outputs", outputs)):
+            twice = sorted({name for name in names if list(names).count(name) > 1})
+            if twice:
+                raise ValueError(
+                    f"{kind}={list(names)} names {twice} more than once, and entries would share "
+                    f"parameters; give each a name of its own"
+                )
         sides = {"F": (states, states), "G": (states, inputs)}
         sides |= {"P": (outputs, states), "Q": (outputs, inputs)}
         if form is not None:

@@ -64,7 +64,8 @@ def _cell(value, place):
 def finite_number(value):
     """A float; None if the value is no finite number."""
     try:
-        number = float(value) if isinstance(value, Real) else math.nan
+        real = isinstance(value, Real) and not isinstance(value, bool)
+        number = float(value) if real else math.nan
     except OverflowError:
         return None
     return number if math.isfinite(number) else None
@@ -481,7 +482,7 @@ def _mapping(what, given, example):
 
 
 def _number(what, value):
-    number = None if isinstance(value, bool) else finite_number(value)
+    number = finite_number(value)
     if number is None:
         raise ValueError(f"the {what} must be a finite number; got {value!r}")
     return number

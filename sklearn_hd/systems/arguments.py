@@ -6,6 +6,7 @@
 import numpy as np
 
 from sklearn_hd._checks import real_array
+from sklearn_hd._containers import is_pandas
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, resize_harmonics
 from sklearn_hd.algorithms.periodic.harmonic_decomposition import fourier_coefficients
 from sklearn_hd.algorithms.signals.fourier import harmonic_labels
@@ -87,9 +88,22 @@ def check_times(t):
     return t
 
 
+def in_order(what, data, axis, names):
+    """Data of pandas in the order of some names, if any of these label it; others as they are."""
+    labels = list(getattr(data, axis, ())) if is_pandas(data) else []
+    if not set(labels) & set(names):
+        return data
+    if sorted(map(str, labels)) != sorted(names):
+        raise ValueError(
+            f"{what} has the {axis} {labels}, but {list(names)} are needed: give these, in any "
+            f"order, or an array in this order"
+        )
+    return data[list(names)]
+
+
 def check_inputs(u, n_samples, names, *, batch=True):
     """Inputs as an array (n_samples, m), or (..., n_samples, m) where records may be stacked."""
-    m = len(names)
+    m, u = len(names), in_order("u", u, "columns", names)
     u = real_array("u", u, f"{n_samples} values of each of {list(names)}, finite: inputs are held")
     if u.ndim == 1 and m == 1:
         u = u[:, None]
@@ -105,6 +119,7 @@ def check_state(x0, batch, names):
     """Initial state as an array (..., n), zero by default."""
     if x0 is None:
         return np.zeros((*batch, len(names)))
+    x0 = in_order("x0", x0, "index", names)
     x0 = real_array("x0", x0, f"one finite value for each of the states {list(names)}")
     if x0.shape not in ((len(names),), (*batch, len(names))):
         raise ValueError(
@@ -171,7 +186,14 @@ def periodic_matrix(matrix, name):
         if values.ndim not in (2, 3):
             raise ValueError(f"{name} has shape {values.shape}; give {wanted}")
         matrix = FourierMatrix(values[None] if values.ndim == 2 else values)
-    shape = np.shape(matrix(np.zeros(2)))
+    try:
+        shape = np.shape(matrix(np.zeros(2)))
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"{name} fails for two azimuths at once ({error}); a callable of psi with shape "
+            f"(n_points,) must return (n_points, rows, columns): for one of a single azimuth give "
+            f"lambda psi: np.array([{name}(p) for p in psi])"
+        ) from error
     if len(shape) != 3 or shape[0] != 2:
         raise ValueError(
             f"{name} returned an array of shape {shape} for two azimuths; a callable of psi with "

@@ -22,7 +22,7 @@ from sklearn_hd._checks import (
     signal_names,
 )
 from sklearn_hd._clock import read_time
-from sklearn_hd._containers import as_container, to_float
+from sklearn_hd._containers import as_container, to_float, warn_if_counted
 from sklearn_hd._guards import warn, within_range
 from sklearn_hd.algorithms.periodic.floquet import transition_matrices
 from sklearn_hd.algorithms.periodic.harmonic_transfer import (
@@ -321,6 +321,8 @@ def estimate_harmonic_transfer_function(
     u, y = as_container(u, "u"), as_container(y, "y")
     check_same_rows(u, y)
     base = read_time(u, sample_time, check_time_origin(time_origin))
+    if sample_time is None:
+        warn_if_counted(base)
     dt = base.sample_time
     if base.jitter[1] > 1e-3 * dt:
         raise ValueError(

@@ -17,7 +17,8 @@ class HeldFeedback:
 
         u_k = u* + v_k − K (ȳ_{k−1} − ȳ*)
 
-    ȳ_k is the mean of the measured outputs over period k, sample by sample, and v_k
+    ȳ_k is the mean of the measured outputs over period k, sample by sample, and v_k is what
+    excites the machine in it. u* and ȳ* are those of the trim.
 
     Parameters
     ----------

@@ -493,11 +493,12 @@ class LTPSystem(NamedSignals):
         ----------
         u : array_like, shape (n_samples,), (n_samples, m) or (..., n_samples, m)
             Inputs; ``u[k]`` acts from ``t[k]`` to ``t[k + 1]``. Leading axes are
-            further records on the same times.
+            further records on the same times. Columns of a DataFrame that are names of
+            the inputs go by these.
         t : array_like, shape (n_samples,)
             Increasing times in seconds; ψ = ωt.
         x0 : array_like, shape (n,) or (..., n), optional
-            State at ``t[0]``; zero by default.
+            State at ``t[0]``; zero by default. A Series goes by the names of the states.
         return_states : bool, default=False
             Whether to return the states too.
 

@@ -320,7 +320,8 @@ class PeriodicSystem(NamedSignals):
         Parameters
         ----------
         u : array_like, shape (n_samples,) or (n_samples, m)
-            Inputs; ``u[k]`` acts from ``t[k]`` to ``t[k + 1]``.
+            Inputs; ``u[k]`` acts from ``t[k]`` to ``t[k + 1]``. Columns of a DataFrame that
+            are names of the inputs go by these.
         t : array_like, shape (n_samples,)
             Increasing times in seconds.
         x0 : array_like, shape (n,), optional
