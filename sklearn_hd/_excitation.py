@@ -108,8 +108,8 @@ class Information:
     """What a record shows about B(ψ) and D(ψ), with A and C known."""
 
     root: np.ndarray  # (k, r): of the covariance of their coefficients, in parts of the noise
-    input_scale: np.ndarray  # (m,): of the inputs and the outputs
-    scale: np.ndarray  # (l,)
+    input_scale: np.ndarray  # (m,): of the inputs
+    scale: np.ndarray  # (l,): of the outputs
     answer: float  # energy of what inputs make, in parts of theirs
     # what no coefficients explain, root mean square, as far as it may act like white noise: in
     # parts of that; and all of it, in parts of what inputs make
@@ -211,6 +211,8 @@ def warn_of_orbit(simulators, outputs):
 def _inputs_move(simulator):
     """Whether the inputs of a segment are other than those of a machine at rest."""
     model, u = simulator.model, simulator.drive
+    if model.trim_in_inputs and not np.any(u != u[:1]):  # they hold a trim
+        return False
     moving = model.moving(u, simulator.psi) if model.trim_in_inputs else u
     return bool(np.any(np.abs(moving) > HALF * np.max(np.abs(u), initial=0.0)))
 

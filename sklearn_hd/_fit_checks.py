@@ -175,15 +175,12 @@ def warn_of_offset(experiment):
 
 
 def _warn_of_mean(experiment):
-    """Warn of plain outputs whose mean is larger than their motion, while inputs have hardly one.
-
-    A gain that makes such a mean of that of the inputs would make more motion of their motion.
-    """
+    """Warn of plain outputs whose mean is larger than their motion, while inputs have none."""
     u, y = np.vstack(experiment.inputs), np.vstack(experiment.outputs)
     if searching() or not u.size or len(y) < LINES:
         return
     (u_mean, u_size), (y_mean, y_size) = ((z.mean(axis=0), z.std(axis=0)) for z in (u, y))
-    held = np.any(np.abs(u_mean) > MOST_OF_IT * u_size)
+    held = np.any(np.abs(u_mean) > 2.0 * u_size / np.sqrt(len(u)))  # a mean, not chance
     halves = np.array([half.mean(axis=0) for half in np.array_split(y, 2)])
     lasting = np.ptp(halves, axis=0) < y_size  # else outputs drift, or grow
     off = (np.abs(y_mean) > y_size) & lasting & (y_size > 0.0)
@@ -194,9 +191,9 @@ def _warn_of_mean(experiment):
         for i in np.flatnonzero(off)
     )
     warn(
-        f"outputs have a mean larger than their motion ({found}), and the inputs have hardly one: "
-        f"a linear model rests at zero, and would need a mode for that mean; subtract what the "
-        f"outputs are at rest, or y - y.mean()",
+        f"outputs have a mean larger than their motion ({found}), and the inputs have none: a "
+        f"linear model rests at zero, and may need a mode for that mean; subtract what the outputs "
+        f"are at rest",
         IdentifiabilityWarning,
     )
 

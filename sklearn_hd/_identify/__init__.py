@@ -19,6 +19,7 @@ from functools import partial
 import numpy as np
 from scipy import sparse
 
+from sklearn_hd._checks import LITTLE
 from sklearn_hd._fit_checks import warn_of_data
 from sklearn_hd._frame import read_as
 from sklearn_hd._guards import held_back, searching, warn
@@ -39,7 +40,6 @@ from sklearn_hd.algorithms.likelihood.delay_search import Cells, first_answers, 
 from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.prediction_error import output_error_of
 from sklearn_hd.algorithms.likelihood.search import cost_of_best_inputs
-from sklearn_hd.algorithms.linalg.rounding import EXACT
 from sklearn_hd.algorithms.lti.simulation import discrete_to_continuous, simulate
 from sklearn_hd.algorithms.modes.free_decay import free_decay, smooth_parts, without_products
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
@@ -74,20 +74,22 @@ def without_delays(experiment, delays, settings, identify):
         delays = _searched(experiment, delays)
         if settings.feedthrough == "auto":  # D and fractions of a sample make up for each other
             if plain:
-                with held_back():  # its warnings are those of the other, which follow
-                    direct = _at(experiment, delays, replace(settings, feedthrough=True), identify)
+                direct = _at(experiment, delays, replace(settings, feedthrough=True), identify)
             settings = replace(settings, feedthrough=False)
     found = _at(experiment, delays, settings, identify)
     if delays.free.any() and plain and not found[0].model.feedthrough:
-        refined = _refined(found[0].model, found[1])
+        refined = _refined(*found[:2])
         if refined is not None:
             found = _at(experiment, refined, settings, identify)
-    if direct is not None and _criterion(*direct) < _criterion(*found):
-        _warn_of_whole_samples(direct[1].delays)
-        return direct
-    if found[1].delays is not delays:
-        warn_of_doubt(found[1].delays)
-    return found
+    needs_feedthrough = direct is not None and _leaves_far_more(found, direct)
+    fit, machine, held = direct if needs_feedthrough else found
+    for message, category in held:
+        warn(message, category)
+    if needs_feedthrough:
+        _warn_of_whole_samples(delays)
+    elif machine.delays is not delays:
+        warn_of_doubt(machine.delays)
+    return fit, machine
 
 
 def _warn_of_whole_samples(delays):
@@ -106,23 +108,29 @@ def _warn_of_whole_samples(delays):
 
 
 def _at(experiment, delays, settings, identify):
-    """The fit of a record without some delays, its model with them, and that record."""
+    """The fit of a record without some delays, its model with them; that record; its warnings."""
     machine = in_machine_time(experiment, delays)
-    fit = identify(machine, settings)
-    return replace(fit, model=replace(fit.model, delays=delays)), machine
+    with held_back() as held:
+        fit = identify(machine, settings)
+    return replace(fit, model=replace(fit.model, delays=delays)), machine, held
 
 
-def _criterion(fit, machine):
-    """Schwarz's criterion of what a simulation of a plain model leaves of the record."""
-    model, scale, squares = fit.model, output_scale(machine), 0.0
-    matrices = model.A, model.B, model.C, model.D
+def _leaves_far_more(found, other):
+    """Whether a simulation of one plain model leaves far more of some output than another's.
+
+    Of what matters: a fraction of a sample and a feedthrough explain the same but for that.
+    """
+    left, least = (_left(*each[:2]) for each in (found, other))
+    return bool(np.any((left > LITTLE) & (left > DECISIVE * least)))
+
+
+def _left(fit, machine):
+    """Share of each output's motion that a simulation of a plain model leaves."""
+    model, squares, total = fit.model, 0.0, 0.0
     for u, y, x0 in zip(machine.inputs, machine.outputs, fit.x0, strict=True):
-        left = (y - simulate(*matrices, u, x0)) / scale
-        squares = squares + np.sum(left**2, axis=0)
-    n_rows = sum(map(len, machine.outputs))
-    n_free = sum(M.size for M in matrices) - (0 if model.feedthrough else model.D.size)
-    n_free += 0 if model.feedthrough else int(np.sum(model.delays.free))
-    return n_rows * np.sum(np.log(squares / n_rows + EXACT**2)) + n_free * np.log(n_rows)
+        left = y - simulate(model.A, model.B, model.C, model.D, u, x0)
+        squares, total = squares + np.sum(left**2, axis=0), total + np.sum(y**2, axis=0)
+    return squares / np.where(total > 0.0, total, np.inf)
 
 
 def _searched(experiment, delays):
@@ -162,9 +170,10 @@ def _searched(experiment, delays):
     return replace(delays, free=free).at(samples * dt)
 
 
-def _refined(model, machine):
+def _refined(fit, machine):
     """Delays of largest likelihood of plain data, with their deviations; None where none is."""
-    origin, dt, delays = machine.origin, machine.base.sample_time, machine.delays
+    model, origin, delays = fit.model, machine.origin, machine.delays
+    dt = machine.base.sample_time
     if not model.n_states:
         return None
     try:

@@ -164,9 +164,10 @@ class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude an
         panels = self._panels(ax, size, cells, heights=[1.3, 1.0] * rows, share_x="all")
         styles = line_styles(self.responses, self.reference)
         self.magnitude_lines_, self.phase_lines_, self.bands_, self._edges = {}, {}, {}, []
-        first = panels.axes[0]
-        first.set_xscale("log")
-        for axis in panels.axes:  # each change of one would go through all that share x
+        first, shared = panels.axes[0], ax is None
+        for axis in panels.axes[:1] if shared else panels.axes:
+            axis.set_xscale("log")
+        for axis in panels.axes if shared else []:  # each change would go through all of them
             axis.set_autoscalex_on(False)
         for k, (o, i) in enumerate(pairs):
             self._draw(o, i, panels.axes[2 * k : 2 * k + 2], units, styles)
@@ -176,8 +177,9 @@ class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude an
             if k % columns == 0:
                 panels.axes[2 * k].set_ylabel(panels.axes[2 * k].get_ylabel() or "magnitude")
                 panels.axes[2 * k + 1].set_ylabel("phase (deg)")
-        first.set_autoscalex_on(True)
-        first.autoscale_view(scaley=False)
+        if shared:
+            first.set_autoscalex_on(True)
+            first.autoscale_view(scaley=False)
         name_confidence(
             self.figure_, [band for bands in self.bands_.values() for band in bands], self._edges
         )

@@ -90,7 +90,8 @@ def check_times(t):
 
 def in_order(what, data, axis, names):
     """Data of pandas in the order of some names, if any of these label it; others as they are."""
-    labels = list(getattr(data, axis, ())) if is_pandas(data) else []
+    named = is_pandas(data) and (axis == "columns" or data.ndim == 1)
+    labels = list(getattr(data, axis, ())) if named else []
     if not set(labels) & set(names):
         return data
     if sorted(map(str, labels)) != sorted(names):
