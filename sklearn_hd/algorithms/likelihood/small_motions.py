@@ -182,8 +182,8 @@ class LargeMotions:
         beside = next_step(start, driven, layout, self.sensor_noise, n_inputs)
         if beside is None:
             return tried, None, None
-        models, L = (start, *beside.of_loads), len(rest) // 2
-        forced, *moved = (products.outputs_at_rest(each, rest, L) for each in models)
+        models = start, *beside.of_loads
+        forced, *moved = (products.outputs_at_rest(each, rest) for each in models)
         off = np.sum([mean_square(each - forced) for each in moved], axis=0)
         return tried, beside, np.sqrt(off)
 
@@ -356,11 +356,15 @@ class _Products:
         means = np.hstack([np.zeros((len(self.means), n_inputs)), self.means])
         return model.about(sign * means, np.zeros((len(means), model.n_outputs)))
 
-    def outputs_at_rest(self, model, rest, n_harmonics):
-        """Fourier coefficients of the outputs of a machine at rest, (2 n_harmonics + 1, l)."""
+    def outputs_at_rest(self, model, rest):
+        """Fourier coefficients of the outputs of a machine at rest, (2 K + 1, l).
+
+        Of as many harmonics as the model then has: cut to fewer, another origin of the state would
+        move the outputs.
+        """
         still = _with_inputs(self.with_means(model), rest.shape[1], 0)
         still = still.about(-rest, np.zeros((len(rest), model.n_outputs)))
-        return still.forced_response(n_harmonics)
+        return still.forced_response(len(still.coefficients) // 2)
 
     def about_rest(self, model, motion, rest):
         """The same model with products about the orbit at rest, and these.
