@@ -37,12 +37,12 @@ class TimeBase:
     jitter: tuple = (0.0, 0.0)
     uncertainty: float = 0.0  # standard error of ``sample_time`` that the jitter leaves, seconds
 
-    def steps(self):
-        """The mean step of each segment of several rows, seconds."""
-        for rows in self.segments:
-            if rows.stop - rows.start > 1:
-                time = self.time[rows]
-                yield (time[-1] - time[0]) / (len(time) - 1)
+    def even_steps(self):
+        """The step of each segment of several rows, seconds, if all of them are even; else none."""
+        bounds = [(rows.start, rows.stop) for rows in self.segments if rows.stop - rows.start > 1]
+        if not all(_alike(self.time, each) for each in bounds):
+            return []
+        return [float(np.median(np.diff(self.time[a:b]))) for a, b in bounds]
 
     def rows_of_records(self):
         """Rows and label of each record, whatever gaps are in it."""

@@ -40,8 +40,8 @@ TOO_LARGE = 1e8  # times the outputs: a simulation that grows so far tells nothi
 class Excitation:
     """What the record of a fit shows about the effect of inputs."""
 
-    names: tuple  # of str: of the inputs, and of that which each of the drive is made of
-    drive: tuple  # of str
+    names: tuple  # of str: of the inputs
+    drive: tuple  # of str: of the input that each of the drive is made of
     # within the period, of models of whole periods; else of the samples
     directions: InputDirections
     n_harmonics: int  # of B(ψ) and D(ψ)
@@ -111,10 +111,9 @@ class Information:
     input_scale: np.ndarray  # (m,): of the inputs
     scale: np.ndarray  # (l,): of the outputs
     answer: float  # energy of what inputs make, in parts of theirs
-    # what no coefficients explain, root mean square, as far as it may act like white noise: in
-    # parts of that; and all of it, in parts of what inputs make
+    # what no coefficients explain, root mean square, as far as it may act like white noise
     noise: float
-    left: float
+    left: float  # all of that, in parts of what inputs make
 
     @classmethod
     @np.errstate(over="ignore", invalid="ignore")

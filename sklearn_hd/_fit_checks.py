@@ -6,6 +6,7 @@ from sklearn_hd._checks import SMALLEST, STANDARD_ERRORS
 from sklearn_hd._guards import searching, warn
 from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF
 from sklearn_hd.algorithms.lti.simulation import GROWN, growth
+from sklearn_hd.algorithms.periodic.multipliers import SURE
 from sklearn_hd.algorithms.signals.fourier import MOST_ROWS, ROWS_PER_COLUMN, harmonic_functions
 from sklearn_hd.algorithms.signals.fundamental import FEWEST, omega_mismatch
 from sklearn_hd.exceptions import (
@@ -17,7 +18,7 @@ from sklearn_hd.exceptions import (
 
 HALF_KEPT = 0.5  # of what neighbouring samples share, that rows read have to
 LINES = 20  # harmonics of an orbit that are looked for
-MOST_OF_IT = 0.5  # of an output's variance, of an input's motion
+MOST_OF_IT = 0.5  # of an output's variance
 LOST = 1e8  # times growth beside which rounding leaves half of the digits of what decays
 MIN_PERIODS = 6  # to see a rate in
 CALM = 1e6  # times growth that leaves most of them
@@ -175,12 +176,15 @@ def warn_of_offset(experiment):
 
 
 def _warn_of_mean(experiment):
-    """Warn of plain outputs whose mean is larger than their motion, while inputs have none."""
+    """Warn of plain outputs whose mean is larger than their motion, if inputs have none but chance.
+
+    A slow machine makes such a mean even of a small one of its inputs.
+    """
     u, y = np.vstack(experiment.inputs), np.vstack(experiment.outputs)
     if searching() or not u.size or len(y) < LINES:
         return
     (u_mean, u_size), (y_mean, y_size) = ((z.mean(axis=0), z.std(axis=0)) for z in (u, y))
-    held = np.any(np.abs(u_mean) > 2.0 * u_size / np.sqrt(len(u)))  # a mean, not chance
+    held = np.any(np.abs(u_mean) > SURE * u_size / np.sqrt(len(u)))
     halves = np.array([half.mean(axis=0) for half in np.array_split(y, 2)])
     lasting = np.ptp(halves, axis=0) < y_size  # else outputs drift, or grow
     off = (np.abs(y_mean) > y_size) & lasting & (y_size > 0.0)

@@ -203,6 +203,9 @@ def test_inputs_and_states_of_pandas_go_by_their_names(random_ltp, rng):
     given = random_ltp.simulate(named.iloc[:, ::-1], t, states.iloc[::-1])
     np.testing.assert_array_equal(given, y)
     np.testing.assert_array_equal(random_ltp.simulate(pd.DataFrame(u), t, x0), y)
+    polars = pytest.importorskip("polars")
+    polar = polars.DataFrame(u[:, ::-1], schema=["u2", "u1"])
+    np.testing.assert_array_equal(random_ltp.simulate(polar, t, x0), y)
     with pytest.raises(
         ValueError, match=r"u has the columns \['u1', 'thrust'\], but \['u1', 'u2'\]"
     ):

@@ -37,6 +37,9 @@ def test_outputs_with_a_mean_that_inputs_have_not_are_told():
     u, y = noisy(1, False)
     MOESPRegressor(order=3).fit(u, y)  # no warning
     MOESPRegressor(order=3).fit(u + 10.0, y + 1.0)  # a gain may make it
+    slow = lfilter([0.0, 0.01], [1.0, -0.99], u[:, :1] + 0.3 * np.std(u), axis=0)
+    assert abs(slow.mean()) > slow[len(slow) // 4 :].std()
+    MOESPRegressor(order=1).fit(u[:, :1] + 0.3 * np.std(u), slow)  # it lasts beside the motion
     with pytest.warns(
         IdentifiabilityWarning, match=r"outputs have a mean larger .* \('y1' 1e\+03 ±"
     ):

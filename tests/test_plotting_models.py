@@ -4,6 +4,7 @@ import copy
 from dataclasses import replace
 
 import control
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import plotting_cases as cases
@@ -391,3 +392,12 @@ def test_a_discrete_truth_is_drawn_where_the_logarithm_of_its_poles_lies():
     system = control.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1)
     display = EigenvalueDisplay.from_systems(system, true=system)
     np.testing.assert_allclose(display.true, np.log(0.5) / 0.1)
+
+
+def test_bode_axes_that_do_not_share_x_are_all_logarithmic():
+    system = control.ss([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    _, axes = plt.subplots(2, 1)
+    BodeDisplay.from_systems(system).plot(ax=axes)
+    assert [axis.get_xscale() for axis in axes] == ["log", "log"]
+    np.testing.assert_allclose(axes[1].get_xlim(), axes[0].get_xlim())
+    assert axes[0].get_xlim()[1] > 10.0

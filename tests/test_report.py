@@ -276,5 +276,7 @@ def test_a_value_is_rounded_to_two_digits_of_its_interval(value, reach, words):
 
 
 def test_a_report_is_a_page_of_html(tmp_path):
-    with pytest.raises(ValueError, match=r"ends in '\.pdf', and the report is a page of HTML"):
+    with pytest.raises(
+        ValueError, match=r"does not end in \.html, and the report is a page of HTML"
+    ):
         report(None, None, None, tmp_path / "wing.pdf")

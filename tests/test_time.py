@@ -415,14 +415,15 @@ def test_times_in_another_unit_than_at_fit_are_told():
         analyzer.transform(X.set_axis(X.index * 1000))
 
 
-def test_records_of_other_sample_times_are_told_by_these():
+@pytest.mark.parametrize("other", [0.0201, 0.03])
+def test_records_of_other_sample_times_are_told_by_these(other):
     rng = np.random.default_rng(5)
     parts = [
-        pd.DataFrame({"u": rng.standard_normal(300)}, dt * np.arange(300)) for dt in (0.02, 0.03)
+        pd.DataFrame({"u": rng.standard_normal(300)}, dt * np.arange(300)) for dt in (0.02, other)
     ]
     u = pd.concat(dict(enumerate(parts)), names=["record", "time"])
     y = u.rename(columns={"u": "y"}).groupby("record").rolling(3, min_periods=1).mean().droplevel(0)
     with pytest.warns(
-        JitterWarning, match=r"records have sample times of 0\.02 to 0\.03 s: signals"
+        JitterWarning, match=rf"records have sample times of 0\.02 to {other} s: signals"
     ):
         MOESPRegressor(order=2).fit(u, y)

@@ -64,8 +64,8 @@ class Stream:
     output_names: tuple  # of str
     channels: Channels  # of the statistics
     origin: str | None  # the instant from which dates are counted
-    first: float  # times of the first and the last row
-    last: float = 0.0
+    first: float  # time of the first row
+    last: float = 0.0  # time of the last row
     statistics: Statistics | None = None
     record: OpenRecord | None = None
     # (samples_per_period, n_drive): largest changes of the drive, by phase

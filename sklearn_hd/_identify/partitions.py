@@ -208,8 +208,8 @@ class Neighbours:
     """
 
     statistics: Statistics
-    first: Place  # where the first segment begins, and where the last one ends
-    last: Place
+    first: Place  # where the first segment begins
+    last: Place  # where the last one ends
     steps: tuple  # of (float, int): sample times found, seconds, and from how many steps
     head: tuple  # a row of X and one of y
     windowed: bool

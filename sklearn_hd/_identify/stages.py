@@ -86,7 +86,7 @@ class SubspaceFit:
 class Decomposition:
     """The future outputs, decomposed with some block rows."""
 
-    found: Projection | PredictorSubspace  # Projection or PredictorSubspace
+    found: Projection | PredictorSubspace
     block_rows: int
     order: int
     singular_values: np.ndarray  # in the units of the outputs; canonical correlations have none

@@ -44,15 +44,15 @@ FIRST_ROWS = 512  # which tell, mostly, whether a signal moves
 class Facts:
     """What checks and messages need to know of the data of a fit."""
 
-    basis: object  # HarmonicBasis or PlainReading
+    basis: object  # a HarmonicBasis, or PlainReading
     output_names: tuple  # of str
     sample_time: float  # seconds
     n_samples: int
     words: str  # first and last time, for messages
     moving: np.ndarray  # bool, (n_drive,): which of the drive move within some segment
     still: tuple  # of str: measured inputs that never do
-    outputs_move: np.ndarray  # bool, (l,): which outputs move, and which are ever other than zero
-    outputs_off: np.ndarray  # bool, (l,)
+    outputs_move: np.ndarray  # bool, (l,): which outputs move
+    outputs_off: np.ndarray  # bool, (l,): which are ever other than zero
     why_short: str = ""  # what made segments short, for messages; empty where nothing did
     # of str: measured inputs of which some combination never moves: copies, say
     together: tuple = ()

@@ -55,8 +55,8 @@ class EveryRow:
 class PlainReading(EveryRow):
     """The reading of data that no analyzer has seen."""
 
-    drive_labels: tuple = ()  # of str: names of the inputs and the outputs
-    output_labels: tuple = ()  # of str
+    drive_labels: tuple = ()  # of str: names of the inputs
+    output_labels: tuple = ()  # of str: names of the outputs
     timing: Timing = field(default_factory=Timing)  # when rows were sampled
 
     reading = "plain"

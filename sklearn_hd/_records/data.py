@@ -21,7 +21,7 @@ from sklearn_hd._checks import (
     check_wrap,
     signal_names,
 )
-from sklearn_hd._clock import TimeBase, read_time, straightened
+from sklearn_hd._clock import STEP_TOLERANCE, TimeBase, read_time, straightened
 from sklearn_hd._containers import as_container, check_upright, is_pandas, to_float, without_inputs
 from sklearn_hd._frame import HarmonicFrame
 from sklearn_hd._guards import warn
@@ -168,10 +168,10 @@ def warn_of_jitter(base, step):
     cross-validation differ in the others.
     """
     rms, largest = (float(f"{100.0 * off / step:.1g}") for off in base.jitter)  # percent
-    steps = {float(f"{each:.4g}") for each in base.steps()}
-    if largest > 100.0 and len(steps) > 1:
+    steps = base.even_steps()
+    if largest > 0.0 and steps and max(steps) > (1.0 + STEP_TOLERANCE) * min(steps):
         warn(
-            f"the records have sample times of {min(steps):g} to {max(steps):g} s: signals are "
+            f"the records have sample times of {min(steps):.4g} to {max(steps):.4g} s: signals are "
             f"resampled onto a grid of {step:.4g} s, and results brought back to the rows given; "
             f"what lies between rows is interpolated, so that residuals may not look like noise",
             JitterWarning,
@@ -200,7 +200,7 @@ class Experiment:
     """Inputs, and outputs where given, of every segment, as the model steps read them."""
 
     base: TimeBase  # of the uniform grid that models are fitted and simulated on
-    basis: HarmonicBasis | PlainReading  # HarmonicBasis or PlainReading
+    basis: HarmonicBasis | PlainReading
     drive: list  # (n_samples_s, n_drive): what drives the model, trim subtracted
     inputs: list  # (n_samples_s, n_inputs): measured inputs on the grid, trim subtracted
     sampling: Sampling  # how the user's rows lie on the grid

@@ -82,8 +82,8 @@ def report(pipe, X, y, path, *, validation=None, units=None, title=None):
     path = path_to_write(path, "report.html")
     if path.suffix.lower() not in (".html", ".htm"):
         raise ValueError(
-            f"path={str(path)!r} ends in {path.suffix!r}, and the report is a page of HTML; give a "
-            f"name that ends in .html, and print that page to PDF from a browser"
+            f"path={str(path)!r} does not end in .html, and the report is a page of HTML; give "
+            f"such a name, and print that page to PDF from a browser"
         )
     path.write_text(whole_page(pipe, X, y, validation, units, title), encoding="utf-8")
     return path

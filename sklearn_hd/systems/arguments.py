@@ -6,7 +6,7 @@
 import numpy as np
 
 from sklearn_hd._checks import real_array
-from sklearn_hd._containers import is_pandas
+from sklearn_hd._containers import from_elsewhere, is_pandas
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, resize_harmonics
 from sklearn_hd.algorithms.periodic.harmonic_decomposition import fourier_coefficients
 from sklearn_hd.algorithms.signals.fourier import harmonic_labels
@@ -89,7 +89,8 @@ def check_times(t):
 
 
 def in_order(what, data, axis, names):
-    """Data of pandas in the order of some names, if any of these label it; others as they are."""
+    """A table in the order of some names, if any of these label it; others as they are."""
+    data = from_elsewhere(data, what)
     named = is_pandas(data) and (axis == "columns" or data.ndim == 1)
     labels = list(getattr(data, axis, ())) if named else []
     if not set(labels) & set(names):

@@ -413,9 +413,8 @@ class _Fitted:
     innovations: PeriodicInnovations
     parts: list  # of (rows, inputs, states, residuals, psi)
     counted: list  # of slice, or of ndarray of bool: which rows of them count
-    # (l, l): of the residuals, and what makes them white beside the least noise
-    covariance: np.ndarray
-    weights: np.ndarray  # (l, l)
+    covariance: np.ndarray  # (l, l): of the residuals
+    weights: np.ndarray  # (l, l): what makes them white beside the least noise
     cost: float  # −log L
 
     @property

@@ -73,10 +73,10 @@ class SmallMotions:
     # ``about_rest`` is false, as far as the linear part leads from the mean motion.
     at_rest: PeriodicInnovations
     # (ndarray, ndarray): where a further step leads the logarithms of its multipliers, and their
-    # deviations. By all rows, and by the half of them with the smaller motion (None if they are too
-    # few).
+    # deviations
     ahead: tuple
-    of_smaller: tuple | None  # (ndarray, ndarray)
+    # the same by the half of the rows with the smaller motion; None if they are too few
+    of_smaller: tuple | None
     # whether all this is about the orbit of a machine at rest, or about the mean motion
     about_rest: bool
 
@@ -85,18 +85,18 @@ class SmallMotions:
 class LargeMotions:
     """A model to which products of states and inputs are further inputs."""
 
-    # without and with products, whose states are those that ``linear`` (then ``model`` of fewer
-    # degrees) predicts
-    linear: PeriodicInnovations
+    linear: PeriodicInnovations  # without products
+    # with products, whose states are those that ``linear`` (then ``model`` of fewer degrees)
+    # predicts
     model: PeriodicInnovations
     ahead: tuple | None  # (ndarray, ndarray): as :func:`~.innovations_steps.most_likely` has it
     products: "_Products | None"
-    segments: list  # of (inputs, outputs, psi): without and with them
-    driven: list  # of (inputs, outputs, psi)
+    segments: list  # of (inputs, outputs, psi): without products among the inputs
+    driven: list  # of (inputs, outputs, psi): with them
     layout: Layout  # of the model without them, whose inputs' effect turns with ψ
     turning: bool  # whether the effect of products does, too; else it is a constant one
     sensor_noise: float  # as for :func:`~.innovations_steps.most_likely`
-    most_growth: float
+    most_growth: float  # the same
     gain: np.ndarray | None  # of a predictor, for a model that simulates
     asked: bool  # whether the degrees were given
 

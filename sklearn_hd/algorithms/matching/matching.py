@@ -36,7 +36,8 @@ class MatchResult:
     """What :func:`match_structure` found."""
 
     theta: np.ndarray  # (k,)
-    A: np.ndarray  # the structured model at θ; stable
+    # A to D: the structured model at θ; stable
+    A: np.ndarray
     B: np.ndarray
     C: np.ndarray
     D: np.ndarray
@@ -60,10 +61,10 @@ class MatchResult:
     # (length of the error over the grid, relative to that of G_c), ``"minimax"`` (relative H∞ norm,
     # after each tightening of its smooth bound)
     history: tuple
-    # what is left of the search, and where that counts as none: ``predicted_decrease`` in the mean
-    # square; how far the smooth bound lies above the H∞ norm, relative to it
+    # what is left of the search: ``predicted_decrease`` in the mean square; how far the smooth
+    # bound lies above the H∞ norm, relative to it
     left: float
-    tolerance: float
+    tolerance: float  # where that counts as none
     # (k,): of the sensitivity of the response, its columns scaled to length one
     singular_values: np.ndarray
     # of str: parameters in the null space of the sensitivity: this response does not determine them

@@ -80,15 +80,15 @@ class MatchingProblem:
 
     model: AffineStructure  # g_c, as a structure without parameters
     structure: AffineStructure  # g_s(θ)
-    outputs: np.ndarray  # (l,): diagonals of the criterion's W_o / ``unit`` and W_i
-    inputs: np.ndarray  # (m,)
+    outputs: np.ndarray  # (l,): diagonal of the criterion's W_o / ``unit``
+    inputs: np.ndarray  # (m,): diagonal of its W_i
     unit: float  # ‖W_o G_c W_i‖_∞ with the weights as they were given
     grid: np.ndarray  # (n_points,): rad/s
     # (l,): the same of the least squares; G_c has length 1 in them on the imaginary axis
     output_scales: np.ndarray
-    input_scales: np.ndarray  # (m,)
-    lower: np.ndarray  # (k,): bounds of θ; infinite where there are none
-    upper: np.ndarray  # (k,)
+    input_scales: np.ndarray  # (m,): as the outputs'
+    lower: np.ndarray  # (k,): bound of θ; infinite where there is none
+    upper: np.ndarray  # (k,): the same
     speed_limit: float = np.inf  # rad/s; G_s with faster poles counts as unstable
 
     @classmethod

@@ -335,7 +335,7 @@ def base_families(mean, exponents, omega):
 class ModesKept:
     """Some modes of a harmonic decomposition, split off from the others."""
 
-    # from u_0 to the harmonics of y kept; D has the steady response of all other modes
+    # A to D: from u_0 to the harmonics of y kept; D has the steady response of all other modes
     A: np.ndarray
     B: np.ndarray
     C: np.ndarray

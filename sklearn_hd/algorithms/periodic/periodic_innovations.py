@@ -448,8 +448,8 @@ class AtSamples:
 
     rows: Rows
     inputs: np.ndarray  # (n_samples, m)
-    feedthrough: bool  # whether it has D, and a Kalman gain
-    predicts: bool
+    feedthrough: bool  # whether it has D
+    predicts: bool  # whether it has a Kalman gain
     n_harmonics: int  # of its matrices
     n_loads: int = -1  # of its forced response; −1 where there is none, not even a mean
 

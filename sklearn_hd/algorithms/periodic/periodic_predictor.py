@@ -50,8 +50,8 @@ class Layout:
     n_inputs: int
     n_outputs: int
     n_lags: int  # p
-    n_harmonics: int  # highest harmonic of what multiplies outputs, and of what multiplies inputs
-    n_input_harmonics: int
+    n_harmonics: int  # highest harmonic of what multiplies outputs
+    n_input_harmonics: int  # the same of what multiplies inputs
     n_loads: int  # highest harmonic of c̄
     feedthrough: bool
 

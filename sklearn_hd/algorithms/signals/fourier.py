@@ -401,10 +401,8 @@ def input_directions(lifted, most=None):
 class InputDirections:
     """What inputs moved in: combinations of their samples within a row."""
 
-    # (m,): constant of each input that is no motion, and the root mean square about it; one where
-    # that is zero
-    middle: np.ndarray
-    size: np.ndarray  # (m,)
+    middle: np.ndarray  # (m,): constant of each input that is no motion
+    size: np.ndarray  # (m,): root mean square about it; one where that is zero
     moved: np.ndarray  # (n_phases m, r): orthonormal, of inputs in parts of their size
 
     @classmethod

@@ -69,10 +69,10 @@ class LagProducts:
 
     # Pair, shape (n_lags, p, p): t[b], of channels divided by 2 to the power of ``exponents``
     lags: Pair
-    # (n_records, (n_lags - 1) p): the first, and the last, n_lags − 1 rows of each record side by
-    # side, as they were multiplied
+    # (n_records, (n_lags - 1) p): the first n_lags − 1 rows of each record side by side, as they
+    # were multiplied
     head: np.ndarray
-    tail: np.ndarray  # (n_records, (n_lags - 1) p)
+    tail: np.ndarray  # (n_records, (n_lags - 1) p): the same of the last rows
     exponents: np.ndarray  # int, (p,)
     n_rows: int  # of the records summed
     short: tuple = ()  # (n_rows_s, p): records of fewer rows than lags, as they are

@@ -122,9 +122,9 @@ class Projection:
 
     # (2 i (m + l), 2 i (m + l)): from :func:`~sklearn_hd.algorithms.subspace.hankel.hankel_factor`
     R: np.ndarray
-    block_rows: int  # i, m, and the Hankel columns behind R
-    n_inputs: int
-    n_columns: int
+    block_rows: int  # i
+    n_inputs: int  # m
+    n_columns: int  # Hankel columns behind R
     # (i l, i l): Γ of order n is the first n of them, times the roots of their singular values
     directions: np.ndarray
     singular_values: np.ndarray  # (i l,)
@@ -233,7 +233,7 @@ class PredictorSubspace:
     past: np.ndarray
     later: np.ndarray  # (r, i (m + l)): the same one row later
     inputs: np.ndarray  # (r, m): at row k
-    outputs: np.ndarray  # (r, l)
+    outputs: np.ndarray  # (r, l): at row k
     coefficients: np.ndarray  # (i l, i (m + l)): Γ̃ 𝒦
     directions: np.ndarray  # (i l, i l): u
     singular_values: np.ndarray  # (i l,)

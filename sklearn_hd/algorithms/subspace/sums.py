@@ -114,7 +114,7 @@ class RowSums:
 
     products: Stretch  # of all channels
     lags: np.ndarray  # as of ``Sums``
-    squares: np.ndarray
+    squares: np.ndarray  # the same
     ends: RecordEnds  # of these rows
 
     def join(self, later):
