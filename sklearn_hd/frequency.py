@@ -9,10 +9,16 @@ from sklearn_hd._guards import warn
 from sklearn_hd._readings import PlainReading
 from sklearn_hd._readings.basis import Timing
 from sklearn_hd._readings.sample import MOST_LOADS
-from sklearn_hd._records.bases import kept_every
+from sklearn_hd._records.bases import kept_every, warn_of_speeds
 from sklearn_hd._records.data import read_experiment
 from sklearn_hd.algorithms.modes.free_decay import SURE
-from sklearn_hd.algorithms.periodic.speed import ORBIT, orbit_drift, orbit_share, orbit_speed
+from sklearn_hd.algorithms.periodic.speed import (
+    ORBIT,
+    orbit_drift,
+    orbit_share,
+    orbit_speed,
+    speeds_apart,
+)
 from sklearn_hd.algorithms.signals import fundamental
 from sklearn_hd.algorithms.signals.fundamental import OmegaEstimate
 from sklearn_hd.exceptions import (
@@ -24,8 +30,6 @@ from sklearn_hd.exceptions import (
 __all__ = ["OmegaEstimate", "estimate_omega"]
 
 PARTS = 4  # of the longest segment, that are compared
-VARIES = 0.1  # of a speed, searched to either side in a part
-FAR_ASTRAY = 0.05  # turns over a part: turbulence alone shifts the phase by up to a third of that
 
 
 def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None, missing="raise"):
@@ -66,8 +70,8 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
     Warns
     -----
     FrequencyMismatchWarning
-        If the speed drifts, or parts of the longest segment have speeds of their own. The standard
-        deviation is then that of these speeds.
+        If the speed drifts, or the records have speeds of their own (the estimate is then their
+        mean), or parts of the longest segment have. The standard deviation is that of these speeds.
     TimeBaseWarning
         If neither the records nor ``sample_time`` say when rows were sampled.
     IdentifiabilityWarning
@@ -99,11 +103,11 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
     starts = [time[0] for _, _, time in segments]
     inputs, outputs = experiment.inputs, experiment.outputs
     found = fundamental.estimate_omega(inputs, outputs, step, guess, span, starts)
-    found = _by_orbit(found, segments, step)
+    found = _by_orbit(found, segments, step, span)
     while guess is None and (times := _times_as_fast(found, segments, step)):
         about = times * found.omega
         found = fundamental.estimate_omega(inputs, outputs, step, about, span, starts)
-        found = _by_orbit(found, segments, step)
+        found = _by_orbit(found, segments, step, span)
     if experiment.base.counted and sample_time is None:
         warn(
             "no times given: rows count as seconds, so omega is in rad per row; give sample_time=, "
@@ -111,8 +115,14 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
             TimeBaseWarning,
         )
     slower = any(rival < found.omega for rival in found.rivals)
-    if not found.drift and not slower:
-        found = _as_parts_have_it(found, segments, step)
+    some = _thinned(segments, found.omega, step)
+    speeds = [] if slower else warn_of_speeds(experiment.base.records, *some)
+    if speeds:
+        omegas, stds = np.transpose(speeds)
+        std = float(max(*stds, np.std(omegas)))
+        found = found._replace(omega=float(np.mean(omegas)), std=std, drift=0.0)
+    elif not found.drift and not slower:
+        found = _as_parts_have_it(found, *some)
     if found.drift and not slower:
         warn(
             f"the speed drifts by {found.drift / found.omega:.2%} over the records "
@@ -185,29 +195,19 @@ def _thinned(segments, omega, step):
     return [tuple(z[::kept] for z in segment) for segment in segments], omega, told
 
 
-def _as_parts_have_it(found, segments, step):
+def _as_parts_have_it(found, segments, omega, n_harmonics):
     """The estimate as precise as parts of the longest segment agree to, with a warning.
 
     Parts tell if each shows an orbit: what decays, or rests, has a frequency within its noise.
     """
     longest = max(segments, key=lambda segment: len(segment[1]))
-    length, estimates = len(longest[1]) // PARTS, []
-    for k in range(PARTS):
-        u, y, time = (z[k * length : (k + 1) * length] for z in longest)
-        try:
-            part = fundamental.estimate_omega([u], [y], step, found.omega, VARIES)
-        except ValueError:  # it is too short, or at rest
-            return found
-        estimates.append(_by_orbit(part, [(u, y, time)], step, steady=False))
-        if estimates[-1].omega == part.omega:
-            return found
-    omegas, stds = (np.array([getattr(e, name) for e in estimates]) for name in ("omega", "std"))
-    off = np.abs(omegas - found.omega)
-    told = off > fundamental.BEYOND * np.hypot(stds, found.std)
-    if not np.any(told & (off * length * step > 2.0 * np.pi * FAR_ASTRAY)):
+    rows = np.array_split(np.arange(len(longest[1])), PARTS)
+    parts = [[tuple(z[own] for z in longest)] for own in rows]
+    speeds = speeds_apart(parts, omega, n_harmonics)
+    if not speeds or None in speeds:
         return found
-    found = found._replace(std=float(max(found.std, np.std(omegas))))
-    listed = ", ".join(f"{omega:.5g} ± {std:.2g}" for omega, std in zip(omegas, stds, strict=True))
+    found = found._replace(std=float(max(found.std, np.std([own for own, _ in speeds]))))
+    listed = ", ".join(f"{own:.5g} ± {std:.2g}" for own, std in speeds)
     warn(
         f"parts of the longest segment, one after the other, repeat themselves at {listed} rad/s: "
         f"the speed varies about {found.omega:.5g} ± {found.std:.2g} rad/s, and no constant omega "
@@ -218,11 +218,11 @@ def _as_parts_have_it(found, segments, step):
     return found
 
 
-def _by_orbit(found, segments, sample_time, *, steady=True):
+def _by_orbit(found, segments, sample_time, span):
     """The estimate as precise as the orbit of the records tells it, if they show one.
 
-    In ``steady`` records halves have one speed. A drift that the orbit's two halves would tell from
-    none, and do not, is none.
+    By patterns, the deviation can be a tenth of the error. A drift that the orbit's two halves
+    would tell from none, and do not, is none.
     """
     some, omega, told = _thinned(segments, found.omega, sample_time)
     if found.drift:
@@ -230,7 +230,5 @@ def _by_orbit(found, segments, sample_time, *, steady=True):
         if abs(drift) > abs(drift - found.drift) or SURE * std > abs(found.drift):
             return found
         found = found._replace(drift=0.0, drift_std=max(found.drift_std, abs(found.drift)))
-    orbit = orbit_speed(some, omega, told, steady=steady)
-    if orbit is None or orbit[1] > found.std:
-        return found
-    return found._replace(omega=orbit[0], std=orbit[1])
+    orbit = orbit_speed(some, omega, told, span=span)
+    return found._replace(omega=orbit[0], std=orbit[1]) if orbit else found

@@ -318,6 +318,52 @@ def test_a_speed_that_goes_to_and_fro_is_told():
     assert abs(found.omega - 2 * np.pi) < found.std < 0.2
 
 
+def beside_resonance(omega, seed, size=0.8, n=1200, dt=0.08):
+    """An orbit, and beside it a light resonance that random steps of an input keep in motion."""
+    rng, t = np.random.default_rng(seed), np.arange(n) * dt
+    u = np.repeat(rng.standard_normal(n // 10), 10)
+    pole = np.exp((-0.6 + 7.7j) * dt)
+    moved = lfilter([dt], np.poly([pole, pole.conj()]).real, u)
+    y = wave(omega * t) + size * moved / moved.std() + 0.01 * rng.standard_normal(n)
+    return pd.Series(u, t, name="u"), pd.Series(y, t, name="y")
+
+
+@pytest.mark.filterwarnings("ignore:.* explain the records")  # of multiples
+@pytest.mark.slow
+def test_deviations_hold_beside_a_light_resonance():
+    errors = []
+    for seed in range(8):
+        found = sklearn_hd.estimate_omega(*beside_resonance(5.0, seed), 5.0)
+        errors.append((found.omega - 5.0) / found.std)
+    assert 0.3 < np.sqrt(np.mean(np.square(errors))) < 1.5, errors
+
+
+@pytest.mark.parametrize("others", [(5.0, 5.3), (5.0, 5.02, 4.8), (5.0, 5.0, 5.45)])
+def test_records_with_speeds_of_their_own_are_told(others):
+    """By the estimate and by a fit; each is named."""
+    pairs = [beside_resonance(omega, seed, 0.5) for seed, omega in enumerate(others)]
+    u, y = (pd.concat(some, keys=range(len(others))) for some in zip(*pairs, strict=True))
+    own = "speeds of their own: .* fit the records of each speed by themselves"
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = sklearn_hd.estimate_omega(u, y, 5.0)
+        HarmonicAnalyzer(5.0, reading="sample").fit(u, y)
+    told = [str(w.message) for w in caught if w.category is FrequencyMismatchWarning]
+    assert len(told) == 2, told
+    assert all(re.search(own, message) for message in told)
+    named = re.findall(r"at ([0-9.]+) ± ([0-9.e-]+)", told[0])
+    assert np.allclose([float(omega) for omega, _ in named], sorted(others), atol=3e-3)
+    assert abs(found.omega - np.mean(others)) < found.std < 1.0
+
+
+def test_records_of_one_speed_and_records_at_rest_have_no_speeds_of_their_own():
+    still = pd.Series(0.0, np.arange(1200) * 0.08)
+    same = [beside_resonance(5.0, seed, 0.5) for seed in range(3)]
+    for pairs in (same, [same[0], (still.rename("u"), still.rename("y"))]):
+        u, y = (pd.concat(some, keys=range(len(pairs))) for some in zip(*pairs, strict=True))
+        HarmonicAnalyzer(5.0, reading="sample").fit(u, y)
+
+
 # ---- fits ---------------------------------------------------------------------------------------
 
 

@@ -26,7 +26,7 @@ from sklearn_hd._guards import warn
 from sklearn_hd._readings import READINGS
 from sklearn_hd._records.data import given, sample
 from sklearn_hd._records.sampling import runs_of
-from sklearn_hd.algorithms.periodic.speed import measured_speed
+from sklearn_hd.algorithms.periodic.speed import measured_speed, speeds_apart
 from sklearn_hd.algorithms.signals.fourier import MOST_ROWS, harmonic_functions
 from sklearn_hd.algorithms.signals.resampling import ON_GRID
 from sklearn_hd.algorithms.signals.trim import LEAST_TURNS, TURN, inputs_rest
@@ -38,6 +38,7 @@ ROWS_PER_TURN = 24  # kept of samples: 12 harmonics of the turn
 ANGLES = {"degrees": (np.pi / 180.0, "np.deg2rad({})"), "turns": (2.0 * np.pi, "2 * np.pi * {}")}
 ORBIT_ORDERS = range(5)  # harmonics of an orbit that is looked for in other units of the azimuth
 HALF_OF_IT = 0.5  # of what the azimuth as it is leaves of the outputs
+LISTED = 6  # records that a message names
 SLIGHT = 1e-4  # of the energy of the motion, 1 % of its size: what is less is no matter
 
 
@@ -235,12 +236,51 @@ def settled_omega(analyzer, inputs, outputs, timing):
     basis = _samples(inputs, omega, kept_every(samples), timing)
     sampling, u, y = sample(inputs, basis, outputs)
     segments = list(zip(u, y, (piece.grid for piece in sampling.pieces), strict=True))
+    if warn_of_speeds(sampling.base.records, segments, omega, basis.most_loads):
+        return omega
     found = measured_speed(segments, omega, basis.most_loads)
     if found is None:
         return omega
     if found.moved > SLIGHT:
         _warn_of_another(found, omega)
     return found.omega
+
+
+def warn_of_speeds(labels, segments, omega, n_harmonics):
+    """The speeds of records that have speeds of their own by their orbits, with a warning.
+
+    Parameters
+    ----------
+    labels : sequence of label
+        The record of each segment.
+    segments : list of (inputs, outputs, time)
+    omega : float
+        rad/s, about which they are looked for.
+    n_harmonics : int
+        Of the orbits.
+
+    Returns
+    -------
+    speeds : list of (float, float)
+        ω and its standard deviation, rad/s, of each record with an orbit; empty where they are one.
+    """
+    records = {}
+    for label, segment in zip(labels, segments, strict=True):
+        records.setdefault(label, []).append(segment)
+    speeds = len(records) > 1 and speeds_apart([*records.values()], omega, n_harmonics)
+    if not speeds:
+        return []
+    told = {label: speed for label, speed in zip(records, speeds, strict=True) if speed}
+    some = sorted(told.items(), key=lambda each: each[1])[:LISTED]
+    listed = ", ".join(f"{label!r} at {own:.5g} ± {std:.2g}" for label, (own, std) in some)
+    more = ", …" if len(told) > LISTED else ""
+    warn(
+        f"the records repeat themselves at speeds of their own: {listed}{more} rad/s, and no "
+        f"constant omega fits them; fit the records of each speed by themselves, each at its "
+        f"omega, or measure the azimuth and give azimuth= to HarmonicAnalyzer",
+        FrequencyMismatchWarning,
+    )
+    return list(told.values())
 
 
 def _warn_of_unit(name, azimuth, outputs):

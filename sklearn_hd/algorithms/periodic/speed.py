@@ -20,6 +20,7 @@ likelihood ratio test, and it does so in either half. The analyzer needs it; ``e
 needs the speed itself.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -46,6 +47,9 @@ ORBITS = 2  # harmonics of what inputs do: one alone takes the orbit of another 
 ORBIT = 0.02  # of the energy of an output about its mean, that the orbit of the other half holds
 HALVES = 1 / 16  # of what a half gains by another speed if it tells as much of it as the other
 WORTH = 0.01  # of what a predictor leaves, that another speed has to explain
+VARIES = 0.1  # of a speed, searched to either side in a part of the records
+START = 0.01  # of a speed, between starts: 0.08 turns at either end of the first turns
+FAR_ASTRAY = 0.05  # turns over a part: turbulence alone shifts the phase by up to a third of that
 
 
 class Speed(NamedTuple):
@@ -101,25 +105,53 @@ def measured_speed(segments, omega, n_harmonics):
     return Speed(found.omega, std * omega, abs(off) * turns, moved)
 
 
-def orbit_speed(segments, omega, n_harmonics, *, steady=True):
+def orbit_speed(segments, omega, n_harmonics, *, span=0.0):
     """The speed near some at which the orbit of a record repeats itself.
 
-    Parameters are those of :func:`measured_speed`; ``steady`` asks that halves of the record have
-    the same.
+    Parameters are those of :func:`measured_speed`; it may lie a ``span``, a share of omega, to
+    either side.
 
     Returns
     -------
     omega, std : (float, float) or None
-        rad/s. None where the record shows no orbit, or half of it another.
+        rad/s. None where the record shows no orbit. The speed as given, known to no more than how
+        far the orbit's is away, where a half of the record does not bear that out.
     """
-    sought = _sought(segments, omega, n_harmonics)
+    sought = _sought(segments, omega, n_harmonics, span)
     if sought is None or not np.isfinite(sought[2].std):
         return None
     segments, given, found = sought
-    far = steady and abs(found.omega / omega - 1.0) > BEYOND * found.std
+    off = abs(found.omega / omega - 1.0)
+    far = off > BEYOND * found.std
     if far and not _is_of_halves(segments, given, found, n_harmonics):
-        return None
+        return omega, omega * off
     return found.omega * (1.0 + found.drift), found.std * found.omega
+
+
+def speeds_apart(parts, omega, n_harmonics):
+    """The speed of each part of some records by its own orbit, if surely they are not one speed.
+
+    Parameters
+    ----------
+    parts : list of list of (inputs, outputs, time)
+        The segments of each part, as in :func:`measured_speed`.
+    omega, n_harmonics
+        As in :func:`measured_speed`.
+
+    Returns
+    -------
+    speeds : list of ((float, float) or None), or None
+        ω and its standard deviation, rad/s, each; None where a part shows no orbit.
+    """
+    speeds = [orbit_speed(own, omega, n_harmonics, span=VARIES) for own in parts]
+    told = [(*speed, _span(own)) for speed, own in zip(speeds, parts, strict=True) if speed]
+    if len(told) < 2:
+        return None
+    omegas, stds, seconds = np.transpose(told)
+    best = np.argmin(stds)
+    off = np.abs(omegas - omegas[best])
+    apart = off > BEYOND * np.hypot(stds, stds[best])
+    return speeds if np.any(apart & (off * seconds > 2.0 * np.pi * FAR_ASTRAY)) else None
 
 
 def orbit_drift(segments, omega, n_harmonics):
@@ -161,7 +193,7 @@ def orbit_share(segments, omega, n_harmonics):
     return float(np.max(np.min(shares, axis=0)))
 
 
-def _sought(segments, omega, n_harmonics):
+def _sought(segments, omega, n_harmonics, span=0.0):
     """Segments as they are read, predictors at some speed and at that of the orbit; or None."""
     segments = _alike(_some_rows(segments))
     layout = _layout(segments, n_harmonics)
@@ -169,8 +201,9 @@ def _sought(segments, omega, n_harmonics):
     if n_harmonics < 1 or layout is None or turns < LEAST_TURNS:
         return None
     given = _Predicted.of(segments, omega, layout)
-    start = _along_waveform(segments, omega, n_harmonics)
-    start = max(omega, start, key=lambda each: orbit_share(segments, each, n_harmonics))
+    starts = {omega, _strongest(segments, omega, n_harmonics, span)}
+    starts |= {_along_waveform(segments, each, n_harmonics) for each in starts}
+    start = max(sorted(starts), key=lambda each: orbit_share(segments, each, n_harmonics))
     found = given if start == omega else _Predicted.of(segments, start, layout)
     for _ in range(MOST_STEPS):
         if not abs(found.t) > 1.0:
@@ -260,16 +293,22 @@ def _energy(values):
 # ---- beside the waveform -----------------------------------------------------------------------
 
 
+def _strongest(segments, omega, n_harmonics, span):
+    """The speed within a span at which one waveform leaves least of some turns about the middle."""
+    near = _about_middle(segments, omega, FIRST_TURNS)
+    if not span or sum(len(y) for _, y, _ in near) < ROWS_PER_COLUMN * (2 * n_harmonics + 2):
+        return omega
+    off = START * np.arange(1, math.ceil(span / START) + 1)
+    starts = omega * (1.0 + np.concatenate([-off[::-1], [0.0], off]))
+    left = [np.sum(_waveform_slopes(near, each, n_harmonics)[1] ** 2) for each in starts]
+    return float(starts[np.argmin(left)])
+
+
 def _along_waveform(segments, omega, n_harmonics):
     """The speed at which least is left beside one waveform; that given where it is no orbit."""
-    time = np.concatenate([t for *_, t in segments])
-    middle, turns, found = 0.5 * (time.min() + time.max()), FIRST_TURNS, omega
-    whole = np.max(np.abs(time - middle)) * omega / np.pi
+    turns, found, whole = FIRST_TURNS, omega, _span(segments) * omega / (2.0 * np.pi)
     while True:
-        near = [
-            tuple(z[np.abs(s[2] - middle) * omega <= np.pi * turns] for z in s) for s in segments
-        ]
-        near = [s for s in near if len(s[1])]
+        near = _about_middle(segments, omega, turns)
         n_rows = sum(len(y) for _, y, _ in near)
         if n_rows >= ROWS_PER_COLUMN * (2 * n_harmonics + 2):
             found = _steps(near, found, n_harmonics)
@@ -277,6 +316,14 @@ def _along_waveform(segments, omega, n_harmonics):
             break
         turns *= MORE_TURNS
     return found
+
+
+def _about_middle(segments, omega, turns):
+    """The rows of some turns about the middle of the time."""
+    time = np.concatenate([t for *_, t in segments])
+    middle, half = 0.5 * (time.min() + time.max()), np.pi * turns / omega
+    near = [tuple(z[np.abs(s[2] - middle) <= half] for z in s) for s in segments]
+    return [s for s in near if len(s[1])]
 
 
 def _steps(segments, omega, n_harmonics):
