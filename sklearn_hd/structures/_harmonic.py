@@ -366,7 +366,8 @@ def _check_independent(basis, names):
     if not len(mixed):
         return
     rows = basis[mixed].toarray()
-    U, values, _ = np.linalg.svd(rows / np.linalg.norm(rows, axis=1)[:, None], full_matrices=True)
+    R = np.linalg.qr((rows / np.linalg.norm(rows, axis=1)[:, None]).T, mode="r")
+    U, values, _ = np.linalg.svd(R.T)  # of a matrix as wide as high at most
     rank = int(np.sum(values > 1e-10 * values[0]))
     if rank < len(mixed):
         alike = [names[k] for k in mixed[np.linalg.norm(U[:, rank:], axis=1) > 1e-10]]

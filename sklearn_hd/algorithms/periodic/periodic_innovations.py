@@ -22,6 +22,7 @@ from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, 
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
 
 MOST_TURNS = 40  # over which the Riccati equation is stepped, where it does not forget sooner
+MANY_COLUMNS = 128  # that keep a processor busy, sample after sample
 
 
 @dataclass(frozen=True, eq=False)
@@ -513,7 +514,8 @@ def input_slopes(rows, inputs, functions, start):
 def propagate_varying(A, forcing, start):
     """States of x[k+1] = A[k] x[k] + v[k], several columns at once.
 
-    In pieces of about √N samples, all pieces at once, joined by their transition matrices.
+    In pieces of about √N samples, all pieces at once, joined by their transition matrices; many
+    columns sample after sample.
 
     Parameters
     ----------
@@ -530,6 +532,14 @@ def propagate_varying(A, forcing, start):
     """
     n_samples, n, _ = A.shape
     r = start.shape[1]
+    if r >= MANY_COLUMNS and forcing is not None:
+        states = np.empty((n_samples, n, r))
+        states[0] = start
+        with np.errstate(over="ignore", invalid="ignore"):
+            for k in range(n_samples - 1):
+                np.matmul(A[k], states[k], out=states[k + 1])
+                states[k + 1] += forcing[k]
+        return states
     length = max(1, int(np.sqrt(n_samples)))
     n_pieces = -(-n_samples // length)
     spare = n_pieces * length - n_samples
