@@ -13,6 +13,7 @@ from sklearn_hd._guards import square_sums
 
 STANDARD_ERRORS = 4.0  # by which chance does not move what is estimated
 LITTLE = 1e-2  # of a variance: less is no matter
+DECISIVE = 4.0  # times the variance that another model leaves, which tells more than doubts
 PERIOD_TOLERANCE = 1e-3  # samples by which a period may miss a whole number
 MOST_SAMPLES = 1e7  # in a period
 MOST = 2**32 - 1  # of anything counted

@@ -176,8 +176,16 @@ def of_halves(exponents, halves, omega, duration, alike=True):
     apart = np.abs(np.array(own) - exponents)
     spread = np.sqrt(np.mean(apart**2, axis=0) if alike else np.prod(apart, axis=0))
     slowest = np.max(np.real([exponents, *own]), axis=0)
+    pair = _conjugates(exponents, omega)  # halves may be near to either of a pair
+    spread, slowest = np.hypot(spread, spread[pair]) / 2**0.5, np.maximum(slowest, slowest[pair])
     way = "the two halves of the record have"
     return Opinion(exponents, spread, omega, way, True, duration, slowest=slowest)
+
+
+def _conjugates(exponents, omega):
+    """Places of the conjugates of exponents, but for multiples of jω; their own where real."""
+    gap = exponents.conj() - exponents[:, None]
+    return np.abs(gap - 1j * omega * np.round(gap.imag / omega)).argmin(axis=1)
 
 
 def doubtful(exponents, opinion):

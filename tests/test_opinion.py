@@ -231,6 +231,16 @@ def test_halves_are_told_apart_one_exponent_each():
     assert doubtful(whole, found).tolist() == [False, True]
 
 
+def test_halves_know_both_of_a_pair_alike():
+    """Though a real exponent of a half is given to one of them: the pair is one mode."""
+    whole = np.append(PAIR, -0.4)
+    halves = [np.append(PAIR, -0.41), np.array([-0.1, PAIR[0], -0.35])]
+    found = of_halves(whole, halves, 1.0, 500.0)
+    assert found.deviations[0] == found.deviations[1] > 0.01
+    assert found.slowest[0] == found.slowest[1]
+    assert doubtful(whole, found)[0] == doubtful(whole, found)[1]
+
+
 def test_halves_that_agree_with_each_other_alone_do_not_confirm():
     found = of_halves(PAIR, [1.2 * PAIR, 1.2 * PAIR], 1.0, 500.0)
     np.testing.assert_allclose(found.deviations, 0.2 * np.abs(PAIR))

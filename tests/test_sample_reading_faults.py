@@ -320,12 +320,13 @@ def test_one_state_more_is_taken_where_it_alone_leaves_but_noise(
 @pytest.mark.parametrize(
     ("exponent", "left", "bic", "noise", "against", "serves"),
     [
-        (-0.14, 2.6e-3, 0.0, 1e-4, "", False),  # one mode in place of two
-        (-0.225, 2.6e-3, 0.0, 1e-4, "", True),
-        (-0.225 + 0.8j, 2.6e-3, 0.0, 1e-4, "", True),
+        (-0.14, 1.5e-3, 0.0, 1e-4, "", False),  # one mode in place of two
+        (-0.225, 1.5e-3, 0.0, 1e-4, "", True),
+        (-0.225 + 0.8j, 1.5e-3, 0.0, 1e-4, "", True),
+        (-0.225, 1.7e-3, 0.0, 1e-4, "", False),  # four times what the other leaves
         (-0.14, 4.2e-4, 0.0, 1e-4, "", True),  # the record tells no two
-        (-0.225, 2.6e-3, 0.0, 1e-4, "halves differ", False),
-        (-0.225, 2.6e-3, 0.0, 4e-4, "", False),  # the other leaves but noise
+        (-0.225, 1.5e-3, 0.0, 1e-4, "halves differ", False),
+        (-0.225, 1.5e-3, 0.0, 4e-4, "", False),  # the other leaves but noise
         (-0.14, 4.2e-4, -1e3, 4e-4, "", True),
     ],
 )

@@ -182,6 +182,18 @@ def test_a_periodic_input_matrix_and_a_feedthrough(structure, mean):
     np.testing.assert_allclose(found.Q.coefficients, Q, atol=1e-6)
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.03])
+def test_a_feedthrough_of_little_of_the_motion_is_found(noise):
+    """It has 0.3 % of the variance, so nothing but other inputs would show that it is missing."""
+    system = LTPSystem(mathieu().F, mathieu().G, Q=[[0.0], [0.05]], omega=2.0)
+    u, y = record(system)
+    y = y + noise * y.to_numpy().std(axis=0) * np.random.default_rng(0).standard_normal(y.shape)
+    pipe = synchronous(2.0)
+    with pytest.warns(IdentifiabilityWarning, match=r"leaves 0.00.* so it has a Q of 0 harmonic"):
+        pipe.fit(u, y)
+    np.testing.assert_allclose(pipe["match"].ltp_.Q.coefficients[0], system.Q(0.0), atol=0.01)
+
+
 def test_harmonics_of_the_inputs_that_the_record_does_not_tell_apart_are_named():
     """Two changes of the input within whole periods say little of G and Q together."""
     system = mathieu()

@@ -19,7 +19,7 @@ from functools import partial
 import numpy as np
 from scipy import sparse
 
-from sklearn_hd._checks import LITTLE
+from sklearn_hd._checks import DECISIVE, LITTLE
 from sklearn_hd._fit_checks import warn_of_data
 from sklearn_hd._frame import read_as
 from sklearn_hd._guards import held_back, searching, warn
@@ -46,7 +46,6 @@ from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
 
 MODULES = {"plain": plain, "sliding": sliding, "period": period, "sample": sample}
-DECISIVE = 4.0  # times the variance left, which tells more than doubts that both have
 
 MOST_STEPS, FEW_STEPS = 50, 10  # of a search for the largest likelihood, and for its samples
 

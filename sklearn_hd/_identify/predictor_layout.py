@@ -27,7 +27,8 @@ def predictor_layouts(data, settings, basis):
     """Lags, harmonics and feedthrough of the predictor, and why D is free or zero.
 
     Several where inputs are so smooth that a predictor cannot tell: with D = 0 and with D free, and
-    each with more lags, too. Few lags predict the next row then, but do not tell what comes later.
+    each with more lags and with half of them, too. Few lags predict the next row then, but do not
+    tell what comes later; many of a record without noise are large and cancel each other.
     """
     most, lags = _most(data, settings, basis)
     shortest = _shortest(data, settings)
@@ -81,7 +82,8 @@ def predictor_layouts(data, settings, basis):
         warn_of_feedback(f"{reason}D free")
         return zero, f"{reason}D free, but feedback within a row looks the same: {{}}"
     if not tells:
-        several = (k * max(lags) for k in (1, 2, 3) if k * max(lags) <= sums.layout.n_lags)
+        own, longest = max(lags), sums.layout.n_lags
+        several = (k for k in (own, own // 2, 2 * own, 3 * own) if least <= k <= longest)
         both = [whole(feedthrough, each) for each in several for feedthrough in (False, True)]
         return both, reason + "{}"
     return [whole(bool(gain > 0.0), lags[int(gain > 0.0)])], reason + "{}"

@@ -17,7 +17,7 @@ from itertools import islice
 
 import numpy as np
 
-from sklearn_hd._checks import LITTLE, STANDARD_ERRORS
+from sklearn_hd._checks import DECISIVE, LITTLE, STANDARD_ERRORS
 from sklearn_hd._fit_checks import check_motion, warn_of_thinning
 from sklearn_hd._guards import held_back, searching, warn
 from sklearn_hd._identify.checks import (
@@ -312,12 +312,15 @@ class _Found:
         """Whether nothing speaks against it, and it leaves as little or has modes of the other.
 
         A mode between two that are too near for the record to tell is neither of them. Where the
-        other leaves but noise, the criterion of simulations knows whether its states are there.
+        other leaves but noise, the criterion of simulations knows whether its states are there;
+        where it leaves far less, they are.
         """
         if self.against or (other.leaves_noise and self.left.bic > other.left.bic):
             return False
         if self.left.variance <= AS_LITTLE * other.left.variance:
             return True
+        if self.left.variance > DECISIVE * other.left.variance:
+            return False
         exponents, omega = other.model.exponents(), other.model.omega
         known = Opinion(exponents, np.zeros(len(exponents)), omega, "")
         return bool(np.all(known.about(self.model.exponents())[1] <= DOUBT))

@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd._checks import LITTLE, STANDARD_ERRORS
+from sklearn_hd._checks import DECISIVE, LITTLE, STANDARD_ERRORS
 from sklearn_hd._fit_checks import grows, grows_by, longest_span
 from sklearn_hd._guards import first_of, searching, warn
 from sklearn_hd._match import periodic_match
@@ -76,10 +76,11 @@ def realize(model, experiment, structure):
     found = _without_feedthrough(model, experiment, structure, scale)
     # a fraction of a sample, or harmonics that the structure forbids, look like a feedthrough
     alone = experiment.delays is None and structure.left_open
-    if found.systematic <= LITTLE or not alone:
+    if found.systematic <= LITTLE**2 or not alone:
         return found
     other, _ = _in_closed_form(model, experiment, structure, scale, feedthrough=True)
-    return other if other.systematic < found.systematic else found
+    enough = 1.0 if found.systematic > LITTLE else DECISIVE  # states that are missing look like one
+    return other if enough * other.systematic < found.systematic else found
 
 
 def _without_feedthrough(model, experiment, structure, scale):
