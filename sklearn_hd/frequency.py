@@ -204,7 +204,7 @@ def _as_parts_have_it(found, segments, omega, n_harmonics):
     rows = np.array_split(np.arange(len(longest[1])), PARTS)
     parts = [[tuple(z[own] for z in longest)] for own in rows]
     speeds = speeds_apart(parts, omega, n_harmonics)
-    if not speeds or None in speeds:
+    if speeds is None or None in speeds:
         return found
     found = found._replace(std=float(max(found.std, np.std([own for own, _ in speeds]))))
     listed = ", ".join(f"{own:.5g} ± {std:.2g}" for own, std in speeds)

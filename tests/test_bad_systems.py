@@ -284,6 +284,10 @@ def decay(x, u, t):
 
 PERIODIC = {
     "function": ({"f": "x"}, r"f='x' must be a function of \(x, u, t\)$"),
+    "order of scipy": (
+        {"f": lambda t, x, u: x},
+        r"f takes \(t, x, u\), and is called with \(x, u, t\): give f=lambda x, u, t",
+    ),
     "outputs": ({"g": 3}, r"g=3 must be a function of \(x, u, t\), or None"),
     "one output": ({"g": lambda x, u, t: x[0]}, r"g returned an array of shape \(\) for one point"),
     "jacobian": ({"jacobian": 0}, r"jacobian=0 must be a function of \(x, u, t\), or None"),

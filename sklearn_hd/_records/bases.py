@@ -22,7 +22,7 @@ from sklearn_hd._checks import (
     check_rate,
     whole_period,
 )
-from sklearn_hd._guards import warn
+from sklearn_hd._guards import searching, warn
 from sklearn_hd._readings import READINGS
 from sklearn_hd._records.data import given, sample
 from sklearn_hd._records.sampling import runs_of
@@ -249,6 +249,8 @@ def settled_omega(analyzer, inputs, outputs, timing):
 def warn_of_speeds(labels, segments, omega, n_harmonics):
     """The speeds of records that have speeds of their own by their orbits, with a warning.
 
+    In a search the fit of all data looks for them.
+
     Parameters
     ----------
     labels : sequence of label
@@ -267,8 +269,10 @@ def warn_of_speeds(labels, segments, omega, n_harmonics):
     records = {}
     for label, segment in zip(labels, segments, strict=True):
         records.setdefault(label, []).append(segment)
-    speeds = len(records) > 1 and speeds_apart([*records.values()], omega, n_harmonics)
-    if not speeds:
+    if len(records) == 1 or searching():
+        return []
+    speeds = speeds_apart([*records.values()], omega, n_harmonics)
+    if speeds is None:
         return []
     told = {label: speed for label, speed in zip(records, speeds, strict=True) if speed}
     some = sorted(told.items(), key=lambda each: each[1])[:LISTED]

@@ -1,5 +1,6 @@
 """Nonlinear time-periodic systems (Eq. 1): trim, linearisation along it, simulation."""
 
+import inspect
 import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -158,7 +159,8 @@ class PeriodicSystem(NamedSignals):
     Raises
     ------
     ValueError
-        If the period is not positive, or names and shapes do not fit.
+        If the period is not positive, names and shapes do not fit, or a function takes the time
+        first, as SciPy's solvers have it.
 
     References
     ----------
@@ -453,6 +455,15 @@ def _check_callable(name, function, *, optional):
         raise ValueError(
             f"{name}={reprlib.repr(function)} must be a function of (x, u, t)"
             f"{', or None' if optional else ''}"
+        )
+    try:
+        first, *others = inspect.signature(function).parameters
+    except (TypeError, ValueError):  # it has none, or does not tell
+        return
+    if first in ("t", "time") and others:
+        raise ValueError(
+            f"{name} takes ({', '.join([first, *others])}), and is called with (x, u, t): give "
+            f"{name}=lambda x, u, t: …, the time last"
         )
 
 
