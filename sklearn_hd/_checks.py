@@ -185,24 +185,28 @@ def signal_names(data, prefix):
 def check_finite(values, names, time, what, missing=RAISE):
     """Raise ValueError naming the column and the first time of a value that is not finite.
 
-    NaN is let through where ``missing`` has a rule for it, unless a column holds nothing else.
+    NaN is let through where ``missing`` has a rule for it, unless a column holds nothing else. None
+    is that of a caller who takes no rule.
     """
     empty = np.isnan(values).all(axis=0) & (len(values) > 0)
-    if empty.any() and missing != RAISE:
+    if empty.any() and missing not in (RAISE, None):
         raise ValueError(
             f"{what} has no values in column {names[int(np.argmax(empty))]!r}: all are NaN; drop it"
         )
-    bad = ~np.isfinite(values) if missing == RAISE else np.isinf(values)
+    bad = ~np.isfinite(values) if missing in (RAISE, None) else np.isinf(values)
     if bad.any():
         row = int(np.argmax(bad.any(axis=1)))
         column = int(np.argmax(bad[row]))
         nan = np.isnan(values[row, column])
         kind, way = ("NaN", "") if nan else ("infinity", "set such values to NaN and ")
+        rule = (
+            f"{way}give HarmonicAnalyzer missing=seconds, the longest run of NaN to bridge, or "
+            f"missing='gap' if runs are long (each starts a new segment); or fill them, or drop "
+            f"those rows"
+        )
         raise ValueError(
             f"{what} contains {kind}: column {names[column]!r}, first at t = {at(time[row])} "
-            f"(row {row}); {way}give HarmonicAnalyzer missing=seconds, the "
-            f"longest run of NaN to bridge, or missing='gap' if runs are long (each starts a new "
-            f"segment); or fill them, or drop those rows"
+            f"(row {row}); {'drop those rows, or fill them' if missing is None else rule}"
         )
 
 

@@ -349,8 +349,8 @@ def _since(times, origin):
     """Seconds from an instant to each date."""
     if origin is None:
         raise ValueError(
-            "the index holds dates, which do not define the azimuth; give HarmonicAnalyzer the "
-            "instant of ψ = 0 as time_origin, such as time_origin=data.index[0] (PeriodBlockSplit "
+            "the index holds dates, which do not define the azimuth; give the instant of ψ = 0 as "
+            "time_origin, such as time_origin=data.index[0] (HarmonicAnalyzer and PeriodBlockSplit "
             "the same)"
         )
     origin = times.min() if origin == FIRST else pd.Timestamp(origin)

@@ -173,7 +173,7 @@ DATA = {
     ),
     "dates": (
         lambda u: u.set_axis(pd.Timestamp("2026-01-01") + pd.to_timedelta(u.index, unit="s")),
-        r"the index holds dates, which do not define the azimuth; give HarmonicAnalyzer the "
+        r"the index holds dates, which do not define the azimuth; give the "
         r"instant of ψ = 0 as time_origin",
     ),
     "text index": (

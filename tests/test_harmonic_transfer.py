@@ -457,7 +457,7 @@ def test_estimate_refuses_uneven_rows_and_missing_values():
     with pytest.raises(ValueError, match="rows are unevenly spaced"):
         estimate_harmonic_transfer_function(u, u, 0.4, 1)
     u = pd.DataFrame(np.where(np.arange(1000) == 7, np.nan, 1.0), columns=["u"])
-    with pytest.raises(ValueError, match=r"u contains NaN: column 'u'"):
+    with pytest.raises(ValueError, match=r"u contains NaN: column .u.*drop those rows, or fill"):
         estimate_harmonic_transfer_function(u, u, 0.4, 1, sample_time=1.0)
 
 

@@ -255,6 +255,8 @@ def test_bad_input_is_named(tmp_path):
         report(model, u, y, path, validation=(u.rename(columns={"u": "v"}), y))
     with pytest.raises(ValueError, match=r"units="):
         report(model, u, y, path, units="m/s")
+    with pytest.raises(ValueError, match=r"units= names \['w0'\], but the signals are"):
+        report(model, u, y, path, units={"w0": "m/s"})
     assert not path.exists()
 
 

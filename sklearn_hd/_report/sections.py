@@ -48,6 +48,10 @@ def whole_page(pipe, X, y, validation, units, title):
         raise ValueError(f"units={units!r} is not understood; give a dict, such as {{'w': 'm/s'}}")
     told = None if validation is None else _checked_validation(validation)
     fitted = read_fitted(pipe, X, y, dict(units or {}))
+    signals = [*fitted.basis.input_signals, *fitted.experiment.output_names]
+    foreign = [name for name in fitted.units if name not in signals]
+    if foreign:
+        raise ValueError(f"units= names {foreign}, but the signals are {signals}")
     run = None if told is None else _validated(fitted, told)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # those that tell something of the model are collected

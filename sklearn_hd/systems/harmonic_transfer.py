@@ -380,7 +380,7 @@ def _check_window(window):
 def _signals(data, what, base):
     """Values of shape (n_rows, n_signals) and their names."""
     names = signal_names(data, what)
-    return check_values(to_float(data, what), names, base.time, what), names
+    return check_values(to_float(data, what), names, base.time, what, missing=None), names
 
 
 def _segment_length(lengths, samples_per_period, n_unknowns, periods, window, overlap):
