@@ -194,6 +194,22 @@ def test_a_feedthrough_of_little_of_the_motion_is_found(noise):
     np.testing.assert_allclose(pipe["match"].ltp_.Q.coefficients[0], system.Q(0.0), atol=0.01)
 
 
+@pytest.mark.parametrize("seed", [0, 4])
+def test_growth_in_doubt_that_the_record_does_not_need_gives_way(seed):
+    """Two states too many, of noise as large as half the motion; one of them would grow."""
+    u, y = record(mathieu(), n_periods=40, seed=seed)
+    rng = np.random.default_rng(seed)
+    y = y + 0.5 * y.to_numpy().std(axis=0) * rng.standard_normal(y.shape)
+    pipe = synchronous(2.0)[:2].set_params(identify__order=4)
+    with pytest.warns() as caught:
+        pipe.fit(u, y)
+    told = [str(w.message) for w in caught if w.category is InstabilityWarning]
+    assert len(told) == 1
+    assert "a stable one leaves as little of the record: that takes its place" in told[0]
+    assert np.max(np.abs(pipe["identify"].eigenvalues_)) < 1.0
+    assert pipe.score(u, y) > 0.6
+
+
 def test_harmonics_of_the_inputs_that_the_record_does_not_tell_apart_are_named():
     """Two changes of the input within whole periods say little of G and Q together."""
     system = mathieu()

@@ -15,10 +15,13 @@ from sklearn_hd._excitation import MOST_OUTSIDE
 from sklearn_hd._fit_checks import (
     check_motion,
     grows,
+    grows_by,
+    growth_rate,
+    longest_span,
     warn_of_growth,
 )
 from sklearn_hd._frame import Lifted
-from sklearn_hd._guards import searching, warn
+from sklearn_hd._guards import held_back, searching, warn
 from sklearn_hd._identify import sample
 from sklearn_hd._identify.checks import DEFAULT_BLOCK_ROWS, allowed_block_rows, rows_of_predictor
 from sklearn_hd._identify.stages import by_gap, decompose, fit_matrices, subspace_fit
@@ -34,6 +37,7 @@ from sklearn_hd._opinion import (
     warn_unconfirmed,
 )
 from sklearn_hd._records.data import beside_trim, lifted_periods, output_scale, rows_read
+from sklearn_hd.algorithms.likelihood.small_motions import AS_LITTLE
 from sklearn_hd.algorithms.linalg.rounding import EXACT, TINY
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.modes.free_decay import (
@@ -67,7 +71,11 @@ from sklearn_hd.algorithms.signals.fourier import input_directions
 from sklearn_hd.algorithms.signals.trim import LEVEL
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 from sklearn_hd.algorithms.subspace.order import order_by_wide_gap
-from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
+from sklearn_hd.exceptions import (
+    ExcitationWarning,
+    IdentifiabilityWarning,
+    InstabilityWarning,
+)
 
 A_TENTH_LESS = 0.9  # left by the multipliers identified, in parts of that by the refined ones
 WORDS = "period", "direction(s) of inputs", "use a longer record, or fewer block rows"
@@ -88,7 +96,41 @@ def asked_block_rows(basis, settings):
 
 
 def identify(data, settings, experiment):
-    """Identify the Poincaré map, as :func:`~sklearn_hd._identify.plain.identify` a plain model."""
+    """Identify the Poincaré map, as :func:`~sklearn_hd._identify.plain.identify` a plain model.
+
+    A map in doubt that grows gives way to a stable one that leaves as little.
+    """
+    told = []
+    try:
+        with held_back() as told:
+            fit = _identified(data, settings, experiment)
+        # feedback may hold a predictor's machine
+        free = not (settings.stable or settings.predictor)
+        if free and {InstabilityWarning, IdentifiabilityWarning} <= {kind for _, kind in told}:
+            fit, told = _or_stable(fit, told, data, settings, experiment)
+    finally:
+        for message, category in told:
+            warn(message, category)
+    return fit
+
+
+def _or_stable(fit, told, data, settings, experiment):
+    """A stable map instead of one that grows, if it leaves as little, and the warnings."""
+    with held_back() as others:
+        stable = _identified(data, replace(settings, stable=True), experiment)
+    if stable.left > AS_LITTLE * fit.left:
+        return fit, told
+    growth = growth_rate(fit.model.A, fit.model.dt) * longest_span(experiment)
+    words = (
+        f"the map identified {grows_by(growth)} over the longest segment, but it is in doubt, and "
+        f"a stable one leaves as little of the record: that takes its place; use smaller motions, "
+        f"or give order="
+    )
+    return stable, [*others, (words, InstabilityWarning)]
+
+
+def _identified(data, settings, experiment):
+    """The map with its warnings."""
     i = allowed_block_rows(
         settings, data, asked_block_rows(data.facts.basis, settings), words=WORDS
     )
