@@ -185,8 +185,8 @@ def signal_names(data, prefix):
 def check_finite(values, names, time, what, missing=RAISE):
     """Raise ValueError naming the column and the first time of a value that is not finite.
 
-    NaN is let through where ``missing`` has a rule for it, unless a column holds nothing else. None
-    is that of a caller who takes no rule.
+    NaN is let through where ``missing`` has a rule for it, unless a column holds nothing else. With
+    None, the message names no parameter ``missing``.
     """
     empty = np.isnan(values).all(axis=0) & (len(values) > 0)
     if empty.any() and missing not in (RAISE, None):

@@ -350,8 +350,8 @@ def _since(times, origin):
     if origin is None:
         raise ValueError(
             "the index holds dates, which do not define the azimuth; give the instant of ψ = 0 as "
-            "time_origin, such as time_origin=data.index[0] (HarmonicAnalyzer and PeriodBlockSplit "
-            "the same)"
+            "time_origin, such as time_origin=data.index[0]; give HarmonicAnalyzer and "
+            "PeriodBlockSplit the same"
         )
     origin = times.min() if origin == FIRST else pd.Timestamp(origin)
     if (origin.tzinfo is None) != (times.tz is None):

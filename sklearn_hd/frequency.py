@@ -38,7 +38,8 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
     Write the periods one below the other: the matrix has low rank at the true frequency, whatever
     the trim, slow transients and amplitudes are. Inputs may move. If the records show an orbit, and
     no drift, the speed at which it repeats itself is the estimate: rows before explain what inputs
-    and disturbances move beside it.
+    and disturbances move beside it. If half of the records contradicts that speed, the first value
+    stays, and the distance between both is its deviation.
 
     Parameters
     ----------
@@ -71,7 +72,8 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
     -----
     FrequencyMismatchWarning
         If the speed drifts, or the records have speeds of their own (the estimate is then their
-        mean), or parts of the longest segment have. The standard deviation is that of these speeds.
+        mean), or parts of the longest segment have. The standard deviation is at least that of
+        these speeds.
     TimeBaseWarning
         If neither the records nor ``sample_time`` say when rows were sampled.
     IdentifiabilityWarning
@@ -103,11 +105,11 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
     starts = [time[0] for _, _, time in segments]
     inputs, outputs = experiment.inputs, experiment.outputs
     found = fundamental.estimate_omega(inputs, outputs, step, guess, span, starts)
-    found = _by_orbit(found, segments, step, span)
+    found = _by_orbit(found, segments, step, guess, span)
     while guess is None and (times := _times_as_fast(found, segments, step)):
         about = times * found.omega
         found = fundamental.estimate_omega(inputs, outputs, step, about, span, starts)
-        found = _by_orbit(found, segments, step, span)
+        found = _by_orbit(found, segments, step, guess, span)
     if experiment.base.counted and sample_time is None:
         warn(
             "no times given: rows count as seconds, so omega is in rad per row; give sample_time=, "
@@ -120,7 +122,7 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
     if speeds:
         omegas, stds = np.transpose(speeds)
         std = float(max(*stds, np.std(omegas)))
-        found = found._replace(omega=float(np.mean(omegas)), std=std, drift=0.0)
+        found = _at(found, float(np.mean(omegas)), std)._replace(drift=0.0, rivals=())
     elif not found.drift and not slower:
         found = _as_parts_have_it(found, *some)
     if found.drift and not slower:
@@ -139,7 +141,7 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
             f"them at rest for some periods",
             IdentifiabilityWarning,
         )
-    if guess is None:
+    if guess is None and not speeds:
         _warn_without_orbit(found, segments, step)
     if found.rivals:
         others = ", ".join(f"{rival:.7g}" for rival in found.rivals)
@@ -218,10 +220,17 @@ def _as_parts_have_it(found, segments, omega, n_harmonics):
     return found
 
 
-def _by_orbit(found, segments, sample_time, span):
+def _at(found, omega, std):
+    """The estimate at another frequency, its rivals as many times as fast or slow as before."""
+    rivals = tuple(rival * omega / found.omega for rival in found.rivals)
+    return found._replace(omega=omega, std=std, rivals=rivals)
+
+
+def _by_orbit(found, segments, sample_time, guess, span):
     """The estimate as precise as the orbit of the records tells it, if they show one.
 
-    By patterns, the deviation can be a tenth of the error. A drift that the orbit's two halves
+    By patterns, the deviation can be a tenth of the error. The orbit's speed has to lie within the
+    span of a guess. A drift that the orbit's two halves
     would tell from none, and do not, is none.
     """
     some, omega, told = _thinned(segments, found.omega, sample_time)
@@ -231,4 +240,12 @@ def _by_orbit(found, segments, sample_time, span):
             return found
         found = found._replace(drift=0.0, drift_std=max(found.drift_std, abs(found.drift)))
     orbit = orbit_speed(some, omega, told, span=span)
-    return found._replace(omega=orbit[0], std=orbit[1]) if orbit else found
+    if orbit is None:
+        return found
+    if guess is not None and abs(orbit[0] - guess) > span * guess + fundamental.BEYOND * orbit[1]:
+        raise ValueError(
+            f"no fundamental frequency stands out within {100 * span:.2g} % of guess={guess:.6g} "
+            f"rad/s: the outputs' orbit repeats itself at {orbit[0]:.7g} rad/s; widen the span, or "
+            f"give another guess"
+        )
+    return _at(found, *orbit)

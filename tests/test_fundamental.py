@@ -356,6 +356,14 @@ def test_records_with_speeds_of_their_own_are_told(others):
     assert abs(found.omega - np.mean(others)) < found.std < 1.0
 
 
+def test_an_orbit_beyond_the_span_is_named():
+    y = wave(4.85 * T) + 0.02 * np.random.default_rng(0).standard_normal(2000)
+    u, y = pd.Series(0.0, T, name="u"), pd.Series(y, T, name="y")
+    with pytest.raises(ValueError, match=r"within 1 % of guess=5 rad/s: .* 4.85.* widen the span"):
+        sklearn_hd.estimate_omega(u, y, 5.0, span=0.01)
+    assert abs(sklearn_hd.estimate_omega(u, y, 5.0).omega - 4.85) < 1e-3
+
+
 def test_records_of_one_speed_and_records_at_rest_have_no_speeds_of_their_own():
     still = pd.Series(0.0, np.arange(1200) * 0.08)
     same = [beside_resonance(5.0, seed, 0.5) for seed in range(3)]

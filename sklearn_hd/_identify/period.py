@@ -37,7 +37,6 @@ from sklearn_hd._opinion import (
     warn_unconfirmed,
 )
 from sklearn_hd._records.data import beside_trim, lifted_periods, output_scale, rows_read
-from sklearn_hd.algorithms.likelihood.small_motions import AS_LITTLE
 from sklearn_hd.algorithms.linalg.rounding import EXACT, TINY
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.modes.free_decay import (
@@ -98,15 +97,16 @@ def asked_block_rows(basis, settings):
 def identify(data, settings, experiment):
     """Identify the Poincaré map, as :func:`~sklearn_hd._identify.plain.identify` a plain model.
 
-    A map in doubt that grows gives way to a stable one that leaves as little.
+    A map that grows gives way to a stable one that leaves no more of the record. Folds of a search
+    are scored as they are.
     """
     told = []
     try:
         with held_back() as told:
             fit = _identified(data, settings, experiment)
         # feedback may hold a predictor's machine
-        free = not (settings.stable or settings.predictor)
-        if free and {InstabilityWarning, IdentifiabilityWarning} <= {kind for _, kind in told}:
+        free = not (settings.stable or settings.predictor or searching())
+        if free and grows(fit.model.A, fit.model.dt, experiment):
             fit, told = _or_stable(fit, told, data, settings, experiment)
     finally:
         for message, category in told:
@@ -115,16 +115,18 @@ def identify(data, settings, experiment):
 
 
 def _or_stable(fit, told, data, settings, experiment):
-    """A stable map instead of one that grows, if it leaves as little, and the warnings."""
+    """A stable map instead of one that grows, if it leaves no more, and the warnings."""
     with held_back() as others:
-        stable = _identified(data, replace(settings, stable=True), experiment)
-    if stable.left > AS_LITTLE * fit.left:
+        try:
+            stable = _identified(data, replace(settings, stable=True), experiment)
+        except ValueError:  # none of the maps tried is stable
+            return fit, told
+    if stable.left > min(fit.left, 1.0):
         return fit, told
     growth = growth_rate(fit.model.A, fit.model.dt) * longest_span(experiment)
     words = (
-        f"the map identified {grows_by(growth)} over the longest segment, but it is in doubt, and "
-        f"a stable one leaves as little of the record: that takes its place; use smaller motions, "
-        f"or give order="
+        f"the map identified {grows_by(growth)} over the longest segment, but a stable one leaves "
+        f"no more of the record: that takes its place; use smaller motions, or give order="
     )
     return stable, [*others, (words, InstabilityWarning)]
 

@@ -249,7 +249,7 @@ def settled_omega(analyzer, inputs, outputs, timing):
 def warn_of_speeds(labels, segments, omega, n_harmonics):
     """The speeds of records that have speeds of their own by their orbits, with a warning.
 
-    In a search the fit of all data looks for them.
+    Folds of a search are not checked; the final fit is.
 
     Parameters
     ----------
@@ -276,7 +276,7 @@ def warn_of_speeds(labels, segments, omega, n_harmonics):
         return []
     told = {label: speed for label, speed in zip(records, speeds, strict=True) if speed}
     some = sorted(told.items(), key=lambda each: each[1])[:LISTED]
-    listed = ", ".join(f"{label!r} at {own:.5g} ± {std:.2g}" for label, (own, std) in some)
+    listed = ", ".join(f"record {label} at {own:.5g} ± {std:.2g}" for label, (own, std) in some)
     more = ", …" if len(told) > LISTED else ""
     warn(
         f"the records repeat themselves at speeds of their own: {listed}{more} rad/s, and no "

@@ -49,6 +49,7 @@ HALVES = 1 / 16  # of what a half gains by another speed if it tells as much of 
 WORTH = 0.01  # of what a predictor leaves, that another speed has to explain
 VARIES = 0.1  # of a speed, searched to either side in a part of the records
 START = 0.01  # of a speed, between starts: 0.08 turns at either end of the first turns
+PART_TURNS = 4 * LEAST_TURNS  # of a part, whose halves tell, too
 FAR_ASTRAY = 0.05  # turns over a part: turbulence alone shifts the phase by up to a third of that
 
 
@@ -114,8 +115,8 @@ def orbit_speed(segments, omega, n_harmonics, *, span=0.0):
     Returns
     -------
     omega, std : (float, float) or None
-        rad/s. None where the record shows no orbit. The speed as given, known to no more than how
-        far the orbit's is away, where a half of the record does not bear that out.
+        rad/s. None where the record shows no orbit. If half of the record contradicts the orbit's
+        speed: the speed as given, and the distance between both as its deviation.
     """
     sought = _sought(segments, omega, n_harmonics, span)
     if sought is None or not np.isfinite(sought[2].std):
@@ -141,9 +142,14 @@ def speeds_apart(parts, omega, n_harmonics):
     Returns
     -------
     speeds : list of ((float, float) or None), or None
-        ω and its standard deviation, rad/s, each; None where a part shows no orbit.
+        ω and its standard deviation, rad/s, each; None where a part shows no orbit, or is too
+        short for its halves to tell. No list if they may be one speed.
     """
-    speeds = [orbit_speed(own, omega, n_harmonics, span=VARIES) for own in parts]
+    least = 2.0 * np.pi * PART_TURNS / omega
+    speeds = [
+        orbit_speed(own, omega, n_harmonics, span=VARIES) if _span(own) >= least else None
+        for own in parts
+    ]
     told = [(*speed, _span(own)) for speed, own in zip(speeds, parts, strict=True) if speed]
     if len(told) < 2:
         return None
