@@ -205,10 +205,11 @@ def _as_parts_have_it(found, segments, omega, n_harmonics):
     longest = max(segments, key=lambda segment: len(segment[1]))
     rows = np.array_split(np.arange(len(longest[1])), PARTS)
     parts = [[tuple(z[own] for z in longest)] for own in rows]
-    speeds = speeds_apart(parts, omega, n_harmonics)
+    speeds = speeds_apart(parts, omega, n_harmonics, (found.omega, found.std))
     if speeds is None or None in speeds:
         return found
-    found = found._replace(std=float(max(found.std, np.std([own for own, _ in speeds]))))
+    off = np.array([own for own, _ in speeds]) - found.omega
+    found = found._replace(std=float(max(found.std, np.sqrt(np.mean(off**2)))))
     listed = ", ".join(f"{own:.5g} ± {std:.2g}" for own, std in speeds)
     warn(
         f"parts of the longest segment, one after the other, repeat themselves at {listed} rad/s: "

@@ -338,6 +338,15 @@ def test_deviations_hold_beside_a_light_resonance():
     assert 0.3 < np.sqrt(np.mean(np.square(errors))) < 1.5, errors
 
 
+@pytest.mark.filterwarnings("ignore:.* explain the records")  # of multiples
+@pytest.mark.slow
+def test_a_speed_that_no_part_has_is_told():
+    """Patterns of what the input moves look like another speed; each quarter has the orbit's."""
+    with pytest.warns(FrequencyMismatchWarning, match="parts of the longest segment"):
+        found = sklearn_hd.estimate_omega(*beside_resonance(5.0, 2, 1.2), 5.0)
+    assert abs(found.omega - 5.0) < 2.0 * found.std
+
+
 @pytest.mark.parametrize("others", [(5.0, 5.3), (5.0, 5.02, 4.8), (5.0, 5.0, 5.45)])
 def test_records_with_speeds_of_their_own_are_told(others):
     """By the estimate and by a fit; each is named."""

@@ -129,7 +129,7 @@ def orbit_speed(segments, omega, n_harmonics, *, span=0.0):
     return found.omega * (1.0 + found.drift), found.std * found.omega
 
 
-def speeds_apart(parts, omega, n_harmonics):
+def speeds_apart(parts, omega, n_harmonics, whole=None):
     """The speed of each part of some records by its own orbit, if surely they are not one speed.
 
     Parameters
@@ -138,6 +138,9 @@ def speeds_apart(parts, omega, n_harmonics):
         The segments of each part, as in :func:`measured_speed`.
     omega, n_harmonics
         As in :func:`measured_speed`.
+    whole : (float, float), optional
+        ω of all records and its standard deviation, from which parts may be apart; by default the
+        best known of their own.
 
     Returns
     -------
@@ -155,8 +158,9 @@ def speeds_apart(parts, omega, n_harmonics):
         return None
     omegas, stds, seconds = np.transpose(told)
     best = np.argmin(stds)
-    off = np.abs(omegas - omegas[best])
-    apart = off > BEYOND * np.hypot(stds, stds[best])
+    omega, std = whole or (omegas[best], stds[best])
+    off = np.abs(omegas - omega)
+    apart = off > BEYOND * np.hypot(stds, std)
     return speeds if np.any(apart & (off * seconds > 2.0 * np.pi * FAR_ASTRAY)) else None
 
 
