@@ -76,7 +76,10 @@ def realize(model, experiment, structure):
     found = _without_feedthrough(model, experiment, structure, scale)
     # a fraction of a sample, or harmonics that the structure forbids, look like a feedthrough
     alone = experiment.delays is None and structure.left_open
-    if found.systematic <= LITTLE**2 or not alone:
+    n_values = sum(y.size for y in experiment.outputs)
+    chance = STANDARD_ERRORS * (1.0 - found.r2) / np.sqrt(n_values)  # of noise alone
+    least = LITTLE if found.systematic > LITTLE else max(LITTLE**2, chance)
+    if found.systematic <= least or not alone:
         return found
     other, _ = _in_closed_form(model, experiment, structure, scale, feedthrough=True)
     enough = 1.0 if found.systematic > LITTLE else DECISIVE  # states that are missing look like one
