@@ -38,8 +38,8 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
     Write the periods one below the other: the matrix has low rank at the true frequency, whatever
     the trim, slow transients and amplitudes are. Inputs may move. If the records show an orbit, and
     no drift, the speed at which it repeats itself is the estimate: rows before explain what inputs
-    and disturbances move beside it. If half of the records contradicts that speed, the first value
-    stays, and the distance between both is its deviation.
+    and disturbances move beside it. If half of the records contradicts that speed, the value by
+    the periods stays, and the distance between both is its deviation.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
     ------
     ValueError
         If X and y cannot be read, the records are too short, or no frequency within the span
-        is better than the others.
+        is better than the others, or the outputs' orbit lies beyond the span of the guess.
 
     Warns
     -----
@@ -231,8 +231,7 @@ def _by_orbit(found, segments, sample_time, guess, span):
     """The estimate as precise as the orbit of the records tells it, if they show one.
 
     By patterns, the deviation can be a tenth of the error. The orbit's speed has to lie within the
-    span of a guess. A drift that the orbit's two halves
-    would tell from none, and do not, is none.
+    span of a guess. A drift that the orbit's two halves would tell from none, and do not, is none.
     """
     some, omega, told = _thinned(segments, found.omega, sample_time)
     if found.drift:

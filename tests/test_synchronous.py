@@ -194,39 +194,6 @@ def test_a_feedthrough_of_little_of_the_motion_is_found(noise):
     np.testing.assert_allclose(pipe["match"].ltp_.Q.coefficients[0], system.Q(0.0), atol=0.01)
 
 
-def with_noise(y, share, seed):
-    noise = np.random.default_rng(seed).standard_normal(y.shape)
-    return y + share * y.to_numpy().std(axis=0) * noise
-
-
-@pytest.mark.parametrize(("seed", "order"), [(2, 4), (0, 6)])
-def test_growth_that_the_record_does_not_need_gives_way(seed, order):
-    """States too many, of noise as large as half the motion; one of them would grow."""
-    u, y = record(mathieu(), n_periods=40, seed=seed)
-    pipe = synchronous(2.0)[:2].set_params(identify__order=order)
-    with pytest.warns() as caught:
-        pipe.fit(u, with_noise(y, 0.5, seed))
-    told = [str(w.message) for w in caught if w.category is InstabilityWarning]
-    assert len(told) == 1
-    assert "a stable one leaves no more of the record: that takes its place" in told[0]
-    assert np.max(np.abs(pipe["identify"].eigenvalues_)) < 1.0
-
-
-@pytest.mark.parametrize("order", [4, 6])
-@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.IdentifiabilityWarning")
-def test_growth_of_the_machine_stays(order):
-    still, period = mathieu(), np.pi
-    F = still.F.coefficients.copy()
-    rate = np.max(still.floquet_exponents().real)
-    F[0] += (0.03 / period - rate) * np.eye(2)
-    u, y = record(LTPSystem(F, still.G, omega=2.0), n_periods=40)
-    pipe = synchronous(2.0)[:2].set_params(identify__order=order)
-    with pytest.warns(InstabilityWarning, match="the periodic orbit is unstable"):
-        pipe.fit(u, with_noise(y, 0.6, 0))
-    found = np.abs(pipe["identify"].eigenvalues_)
-    assert np.min(np.abs(found - np.exp(0.03))) < 0.02
-
-
 def test_harmonics_of_the_inputs_that_the_record_does_not_tell_apart_are_named():
     """Two changes of the input within whole periods say little of G and Q together."""
     system = mathieu()

@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 import pandas as pd
+import periodic_cases
 import pytest
 from sklearn.exceptions import NotFittedError
 from sklearn.pipeline import Pipeline
@@ -264,6 +265,39 @@ def test_modes_that_noise_makes_grow_are_no_false_alarm():
 @pytest.mark.slow
 def test_orbits_that_are_unstable_are_said_to_be():
     assert alarms(slowest=0.1) == list(range(20))
+
+
+def with_noise(y, share, seed):
+    noise = np.random.default_rng(seed).standard_normal(y.shape)
+    return y + share * y.to_numpy().std(axis=0) * noise
+
+
+@pytest.mark.parametrize(("seed", "order"), [(2, 4), (0, 6)])
+def test_growth_that_the_record_does_not_need_gives_way(seed, order):
+    """States too many, of noise as large as half the motion; one of them would grow."""
+    u, y = periodic_cases.record(periodic_cases.mathieu(), n_periods=40, seed=seed)
+    pipe = periodic_cases.synchronous(2.0)[:2].set_params(identify__order=order)
+    with pytest.warns() as caught:
+        pipe.fit(u, with_noise(y, 0.5, seed))
+    told = [str(w.message) for w in caught if w.category is InstabilityWarning]
+    assert len(told) == 1
+    assert "a stable one leaves no more of the record: that takes its place" in told[0]
+    assert np.max(np.abs(pipe["identify"].eigenvalues_)) < 1.0
+
+
+@pytest.mark.parametrize("order", [4, 6])
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.IdentifiabilityWarning")
+def test_growth_of_the_machine_stays(order):
+    still, period = periodic_cases.mathieu(), np.pi
+    F = still.F.coefficients.copy()
+    rate = np.max(still.floquet_exponents().real)
+    F[0] += (0.03 / period - rate) * np.eye(2)
+    u, y = periodic_cases.record(LTPSystem(F, still.G, omega=2.0), n_periods=40)
+    pipe = periodic_cases.synchronous(2.0)[:2].set_params(identify__order=order)
+    with pytest.warns(InstabilityWarning, match="the periodic orbit is unstable"):
+        pipe.fit(u, with_noise(y, 0.6, 0))
+    found = np.abs(pipe["identify"].eigenvalues_)
+    assert np.min(np.abs(found - np.exp(0.03))) < 0.02
 
 
 # ---- a match that is near the model, and its periodic system that is not -------------------------

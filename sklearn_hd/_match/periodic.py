@@ -77,12 +77,12 @@ def realize(model, experiment, structure):
     # a fraction of a sample, or harmonics that the structure forbids, look like a feedthrough
     alone = experiment.delays is None and structure.left_open
     n_values = sum(y.size for y in experiment.outputs)
-    chance = STANDARD_ERRORS * (1.0 - found.r2) / np.sqrt(n_values)  # of noise alone
-    least = LITTLE if found.systematic > LITTLE else max(LITTLE**2, chance)
-    if found.systematic <= least or not alone:
+    chance = STANDARD_ERRORS * (1.0 - found.r2) / np.sqrt(n_values)  # what noise alone gives
+    much = found.systematic > LITTLE
+    if not alone or not (much or found.systematic > max(LITTLE**2, chance)):
         return found
     other, _ = _in_closed_form(model, experiment, structure, scale, feedthrough=True)
-    enough = 1.0 if found.systematic > LITTLE else DECISIVE  # states that are missing look like one
+    enough = 1.0 if much else DECISIVE  # of little, states that are missing may explain a part
     return other if enough * other.systematic < found.systematic else found
 
 
