@@ -7,7 +7,6 @@ import numpy as np
 
 from sklearn_hd._checks import check_numbers, real_array
 from sklearn_hd._guards import within_range
-from sklearn_hd.algorithms.periodic.floquet import transition_matrices
 from sklearn_hd.design._problem import (
     ContinuousProblem,
     PeriodicMatrix,
@@ -20,7 +19,7 @@ from sklearn_hd.design._problem import (
 )
 from sklearn_hd.design._regulator import PeriodicRegulator
 from sklearn_hd.systems import LTPSystem
-from sklearn_hd.systems.arguments import periodic_matrix, precision
+from sklearn_hd.systems.arguments import check_state, periodic_matrix, precision
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,10 +265,7 @@ class Observer:
             )
         self.estimator = estimator
         system, psi = estimator.system, samples_of(estimator.system, estimator.sample_time)
-        tolerance = precision(system.F, system.G)
-        self._steps = transition_matrices(
-            system.F, system.G, psi, system.omega, tolerance=tolerance
-        )
+        self._steps = system._transition_matrices(psi)
         self._measured = system.P(psi[:-1]), system.Q(psi[:-1])
         self._input_trim = trim_samples("input_trim", input_trim, len(psi) - 1, system.input_names)
         self._output_trim = trim_samples(
@@ -309,9 +305,7 @@ class Observer:
                 f"psi={psi:.6g} rad lies between the {p} samples of a period; give a multiple of "
                 f"{2.0 * np.pi / p:.6g}"
             )
-        x0 = np.zeros(n) if x0 is None else real_array("x0", x0, f"{n} finite values")
-        if x0.shape != (n,):
-            raise ValueError(f"x0 has shape {x0.shape}; it must hold {list(system.state_names)}")
+        x0 = check_state(x0, (), system.state_names)
         k = round(place) % p
         self._follows = covariance is not None
         if self._follows:

@@ -19,7 +19,7 @@ from sklearn_hd.design._problem import (
     solved,
 )
 from sklearn_hd.systems import FourierMatrix, LTPSystem
-from sklearn_hd.systems.arguments import precision
+from sklearn_hd.systems.arguments import check_state, precision
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class PeriodicRegulator:
         Parameters
         ----------
         x0 : array_like, shape (n,)
-            State, in the system's units.
+            State, in the system's units; a Series is read by its names.
         psi : float, default=0.0
             Azimuth of that state, radians; for sampled designs, that of a sample.
 
@@ -93,12 +93,7 @@ class PeriodicRegulator:
         ValueError
             If x0 does not hold n numbers, or ψ is not finite.
         """
-        x0 = real_array("x0", x0, f"one value of each of {list(self.system.state_names)}")
-        if x0.shape != (self.system.n_states,):
-            raise ValueError(
-                f"x0 has shape {x0.shape}; it must hold one value of each of "
-                f"{list(self.system.state_names)}"
-            )
+        x0 = check_state(x0, (), self.system.state_names)
         check_numbers("finite", "it is the azimuth ψ in radians", psi=psi)
         if not self.is_stable:
             return np.inf

@@ -286,10 +286,9 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output, or t
         self.part_lines_, self.part_legend_, self.spans_ = {}, None, []
         split = len(inputs) + len(outputs)
         for name, axis in zip(inputs, self.axes_[: len(inputs)], strict=True):
-            table = _within(self.inputs[[name]], span)
             style = {"color": BLACK, "lw": 1.2, "drawstyle": "steps-post"}
-            t = table.index.to_numpy()
-            self.input_lines_[name] = axis.plot(t, table[name].to_numpy(), **style)[0]
+            drawn = unbroken(self.inputs[name], [slice(None)], span)
+            self.input_lines_[name] = axis.plot(*drawn, **style)[0]
             dress(axis, y=with_unit(name, units))
         for name, axis in zip(outputs, self.axes_[len(inputs) : split], strict=True):
             self._draw(name, axis, span, units)
@@ -433,14 +432,6 @@ def _table(data, what, prefix, record):
     values = values.reshape(len(values), -1)[record.rows]
     index = pd.Index(record.time, name="time")
     return pd.DataFrame(values, index, list(signal_names(data, prefix)))
-
-
-def _within(table, span):
-    if span is None:
-        return table
-    start, stop = check_span("span", span)
-    time = table.index.to_numpy()
-    return table[(time >= start) & (time <= stop)]
 
 
 def _check_alike(measured, values, label, columns=True):

@@ -23,9 +23,8 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn_hd._checks import check_count, path_to_write
 from sklearn_hd._guards import warn
 from sklearn_hd.algorithms.linalg.rounding import PRECISION
-from sklearn_hd.algorithms.periodic.floquet import transition_matrices
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
-from sklearn_hd.systems.arguments import FourierMatrix, matrix_coefficients, precision
+from sklearn_hd.systems.arguments import FourierMatrix, matrix_coefficients
 
 FORMAT, SCHEMA = "sklearn_hd model", 1
 SERIES = (4, 8, 16, 32, 64)  # harmonics tried of matrices that are no Fourier series
@@ -86,8 +85,7 @@ def ltp_contents(system, n_phases=64):
     n_phases = check_count("n_phases", n_phases, 1, "64 is usual")
     matrices = {name: getattr(system, name) for name in "FGPQ"}
     psi = 2.0 * np.pi * np.arange(n_phases + 1) / n_phases
-    tolerance = precision(system.F, system.G)
-    steps = transition_matrices(system.F, system.G, psi, system.omega, tolerance=tolerance)
+    steps = system._transition_matrices(psi)
     contents = {"kind": "ltp", "omega": system.omega, **system._names()}
     contents |= {name: _series(name, M) for name, M in matrices.items()}
     contents["psi"] = psi[:-1]

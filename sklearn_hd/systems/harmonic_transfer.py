@@ -24,7 +24,6 @@ from sklearn_hd._checks import (
 from sklearn_hd._clock import read_time
 from sklearn_hd._containers import as_container, to_float, warn_if_counted
 from sklearn_hd._guards import warn, within_range
-from sklearn_hd.algorithms.periodic.floquet import transition_matrices
 from sklearn_hd.algorithms.periodic.harmonic_transfer import (
     effective_averages,
     estimate_harmonic_transfer,
@@ -33,7 +32,6 @@ from sklearn_hd.algorithms.periodic.harmonic_transfer import (
     segment_plan,
 )
 from sklearn_hd.algorithms.signals.fourier import times_near_zero_phase
-from sklearn_hd.systems.arguments import precision
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,8 +228,7 @@ def _held(system, frequencies, N, sample_time):
     dt = check_positive("sample_time", sample_time, "seconds", hint)
     S = check_period(system.omega, dt, N)
     psi = 2.0 * np.pi * np.arange(S + 1) / S
-    tolerance = precision(system.F, system.G)
-    Phi, Gamma = transition_matrices(system.F, system.G, psi, system.omega, tolerance=tolerance)
+    Phi, Gamma = system._transition_matrices(psi)
     P, Q = system.P(psi[:-1]), system.Q(psi[:-1])
     return held_harmonic_transfer(Phi, Gamma, P, Q, frequencies, dt, N)
 

@@ -520,15 +520,17 @@ class LTPSystem(NamedSignals):
         x0 = check_state(x0, u.shape[:-2], self.state_names)
         psi = self.omega * times_near_zero_phase(t, self.omega)
         intervals = psi[: floquet.intervals_of_a_period(psi) + 1]
-        tolerance = precision(self.F, self.G)
-        Phi, Gamma = floquet.transition_matrices(
-            self.F, self.G, intervals, self.omega, tolerance=tolerance
-        )
+        Phi, Gamma = self._transition_matrices(intervals)
         which = np.arange(len(t)) % len(Phi)
         forcing = np.einsum("kij,...kj->...ki", Gamma[which], u)
         x = floquet.propagate_periodic(Phi, forcing, x0)
         y = measure(self.P, x, psi) + measure(self.Q, u, psi)
         return (y, x) if return_states else y
+
+    def _transition_matrices(self, psi):
+        """Φ and Γ from each azimuth to the next, as exactly as F and G were given."""
+        tolerance = precision(self.F, self.G)
+        return floquet.transition_matrices(self.F, self.G, psi, self.omega, tolerance=tolerance)
 
     def export(self, path, *, n_phases=64):
         """Write the system to a file, as :func:`export_model` does.
