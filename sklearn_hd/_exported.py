@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sklearn_hd._sample_model import SampleModel
+from sklearn_hd._frame import SampleModel
 from sklearn_hd.systems.export import lti_contents, ltp_contents
 
 

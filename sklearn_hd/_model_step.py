@@ -22,7 +22,7 @@ from sklearn_hd._clock import STEP_TOLERANCE
 from sklearn_hd._containers import as_container, from_elsewhere, is_pandas, without_inputs
 from sklearn_hd._excitation import Excitation, warn_of_orbit
 from sklearn_hd._exported import contents
-from sklearn_hd._frame import FrameTransformer, HarmonicFrame, read_as
+from sklearn_hd._frame import FrameTransformer, HarmonicFrame, SampleModel, read_as
 from sklearn_hd._guards import one_blas_thread, warn, within_range
 from sklearn_hd._readings import HarmonicBasis, first_difference
 from sklearn_hd._records.data import (
@@ -35,7 +35,6 @@ from sklearn_hd._records.data import (
 )
 from sklearn_hd._records.delays import in_machine_time, leads, with_delayed_inputs
 from sklearn_hd._residuals import left_of, scored
-from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._simulators import (
     LiftedSimulator,
     SegmentSimulator,

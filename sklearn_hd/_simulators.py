@@ -12,11 +12,11 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._checks import check_weight
 from sklearn_hd._containers import without_inputs
+from sklearn_hd._frame import SampleSimulator
 from sklearn_hd._guards import extremes, warn
 from sklearn_hd._readings import highest_harmonic
 from sklearn_hd._records.delays import both_values, leads
 from sklearn_hd._records.sampling import joined
-from sklearn_hd._sample_model import SampleSimulator
 from sklearn_hd.algorithms.linalg.rounding import EXACT, RANK
 from sklearn_hd.algorithms.linalg.triangular import solve_within_rank
 from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, propagate, simulate

@@ -19,7 +19,7 @@ from sklearn_hd._fit_checks import lasting_hop, motion_kept
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
 from sklearn_hd._guards import warn, within_range
 from sklearn_hd._readings import READINGS, Timing, coefficient_names
-from sklearn_hd._records.bases import AUTO, chosen_readings, record_basis, settled_omega
+from sklearn_hd._records.bases import AUTO, chosen_readings, record_basis, settled_omega, with_trim
 from sklearn_hd._records.data import (
     check_features,
     is_decomposed,
@@ -30,7 +30,6 @@ from sklearn_hd._records.data import (
     without_trim,
 )
 from sklearn_hd._records.sampling import lay_grid, warn_of_outliers, warn_of_resampling
-from sklearn_hd._records.trim import with_trim
 from sklearn_hd.algorithms.signals.fourier import WINDOW_PERIODS, recompose
 from sklearn_hd.exceptions import TimeBaseWarning
 

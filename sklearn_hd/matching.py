@@ -9,6 +9,7 @@ from scipy.stats import norm
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._checks import check_choice, check_count, check_fraction, check_positive
+from sklearn_hd._frame import SampleModel
 from sklearn_hd._guards import one_blas_thread, searching, warn, within_range
 from sklearn_hd._match import LIKELIHOODS, MatchSettings
 from sklearn_hd._match.affine import match_affine, match_samples
@@ -18,7 +19,6 @@ from sklearn_hd._model_step import ModelStep
 from sklearn_hd._opinion import WAY_OUT, contradictions, doubtful, lacks, warn_unconfirmed
 from sklearn_hd._records.data import to_continuous
 from sklearn_hd._records.delays import in_whole_samples
-from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._simulators import sample_simulators
 from sklearn_hd.algorithms.matching.matching_problem import numerical_rank
 from sklearn_hd.exceptions import IdentifiabilityWarning

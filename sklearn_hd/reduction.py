@@ -5,8 +5,7 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_hd._checks import check_choice, check_count
 from sklearn_hd._guards import one_blas_thread, within_range
 from sklearn_hd._model_step import ModelStep
-from sklearn_hd._reduce.choice import mode_table
-from sklearn_hd._reduce.reduction import reduced
+from sklearn_hd._reduce import mode_table, reduced
 
 __all__ = ["SpuriousModeReducer"]
 

@@ -9,6 +9,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._checks import check_outputs_given
 from sklearn_hd._containers import is_partitioned, without_inputs
+from sklearn_hd._frame import SampleModel
 from sklearn_hd._guards import one_blas_thread, within_range
 from sklearn_hd._identify import (
     PREDICTOR,
@@ -22,7 +23,6 @@ from sklearn_hd._identify.chunks import model_so_far, read_chunk, with_chunk
 from sklearn_hd._identify.partitions import Partitions
 from sklearn_hd._model_step import ModelStep
 from sklearn_hd._records.data import check_features
-from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.algorithms.signals.fourier import harmonic_labels
 
 __all__ = ["MOESPRegressor"]

@@ -383,7 +383,7 @@ def test_skops_saves_periodic_models(tmp_path, periodic):
     if pipe["match"].criterion == "output_error":
         expected |= {
             "sklearn_hd._match.Uncertainty",
-            "sklearn_hd._sample_model.SampleModel",
+            "sklearn_hd._frame.SampleModel",
             "sklearn_hd.algorithms.lti.structured_model.AffineStructure",
             "sklearn_hd.algorithms.periodic.periodic_innovations.PeriodicInnovations",
         }

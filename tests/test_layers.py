@@ -13,7 +13,7 @@ LAYERS = [
     {"algorithms"},
     {"systems", "structures"},
     {"_readings"},
-    {"_frame", "_sample_model"},
+    {"_frame"},
     {"_records"},
     {"_excitation", "_exported", "_fit_checks", "_residuals"},
     {"_opinion"},

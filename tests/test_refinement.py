@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sklearn_hd._reduce.reduction import most_likely
+from sklearn_hd._reduce import most_likely
 from sklearn_hd.algorithms.likelihood.likelihood import is_white
 from sklearn_hd.algorithms.modes.families import real_block
 from sklearn_hd.systems import LTPSystem

@@ -11,9 +11,9 @@ import pytest
 from sklearn.pipeline import Pipeline, make_pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
-from sklearn_hd._identify.checks import warn_of_growth
 from sklearn_hd._identify.sample import _Found, _or_fuller
 from sklearn_hd._identify.sample_models import Choice, Refined
+from sklearn_hd._identify.stages import warn_of_growth
 from sklearn_hd._opinion import Opinion
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.datasets import make_flapping_wing

@@ -14,7 +14,7 @@ import spurious_modes_study as study
 from sklearn_hd import HarmonicAnalyzer
 from sklearn_hd._identify.sliding import inputs_by_phase
 from sklearn_hd._records.data import read_for_fit
-from sklearn_hd._reduce.choice import without_trifles
+from sklearn_hd._reduce import without_trifles
 
 FIRST = {  # the first seed of each kind and excitation
     (kind, excitation): j * len(study.KINDS) + i

@@ -10,7 +10,7 @@ from sklearn.model_selection import cross_val_score
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, HarmonicStructure, MOESPRegressor, StructuredMatcher
-from sklearn_hd._records.trim import _share
+from sklearn_hd._records.bases import _share
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.model_selection import PeriodBlockSplit
 

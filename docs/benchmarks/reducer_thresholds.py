@@ -12,7 +12,7 @@ import warnings
 import numpy as np
 from sklearn.pipeline import Pipeline
 
-import sklearn_hd._reduce.choice as choice
+import sklearn_hd._reduce as choice
 import sklearn_hd.algorithms.subspace.order as gaps
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
 from sklearn_hd.datasets import make_flapping_wing

@@ -24,8 +24,14 @@ from sklearn_hd._fit_checks import warn_of_data
 from sklearn_hd._frame import read_as
 from sklearn_hd._guards import held_back, searching, warn
 from sklearn_hd._identify import period, plain, sample, sliding
-from sklearn_hd._identify.checks import DEFAULT_BLOCK_ROWS, MOST_PREDICTOR_ROWS, PREDICTOR, checked
-from sklearn_hd._identify.stages import Settings, SubspaceFit
+from sklearn_hd._identify.stages import (
+    DEFAULT_BLOCK_ROWS,
+    MOST_PREDICTOR_ROWS,
+    PREDICTOR,
+    Settings,
+    SubspaceFit,
+    checked,
+)
 from sklearn_hd._opinion import DOUBT, decays_at_rest, of_free_decays
 from sklearn_hd._records.data import as_frame, is_decomposed, output_scale, read_for_fit
 from sklearn_hd._records.delays import (

@@ -16,13 +16,13 @@ from sklearn_hd._checks import FIRST, RAISE, STANDARD_ERRORS, at
 from sklearn_hd._clock import STEP_TOLERANCE, resolution
 from sklearn_hd._guards import warn
 from sklearn_hd._identify import asked_block_rows, identify, most_block_rows
-from sklearn_hd._identify.checks import check_rank_bound, fewer_block_rows
 from sklearn_hd._identify.sliding import (
     largest_changes,
     modulated,
     n_modulating_harmonics,
     steps_at_one_phase,
 )
+from sklearn_hd._identify.stages import check_rank_bound, fewer_block_rows
 from sklearn_hd._identify.statistics import REMEMBERING, Channels, Statistics, ends_of
 from sklearn_hd._readings import PlainReading, Timing, first_difference
 from sklearn_hd._records.data import read_experiment

@@ -23,8 +23,15 @@ from sklearn_hd._fit_checks import (
 from sklearn_hd._frame import Lifted
 from sklearn_hd._guards import held_back, searching, warn
 from sklearn_hd._identify import sample
-from sklearn_hd._identify.checks import DEFAULT_BLOCK_ROWS, allowed_block_rows, rows_of_predictor
-from sklearn_hd._identify.stages import by_gap, decompose, fit_matrices, subspace_fit
+from sklearn_hd._identify.stages import (
+    DEFAULT_BLOCK_ROWS,
+    allowed_block_rows,
+    by_gap,
+    decompose,
+    fit_matrices,
+    rows_of_predictor,
+    subspace_fit,
+)
 from sklearn_hd._identify.statistics import Facts, Records
 from sklearn_hd._opinion import (
     DOUBT,

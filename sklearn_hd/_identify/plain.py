@@ -8,14 +8,18 @@ from sklearn_hd._checks import LITTLE
 from sklearn_hd._fit_checks import check_motion, warn_of_unstable
 from sklearn_hd._frame import LTIModel
 from sklearn_hd._guards import warn
-from sklearn_hd._identify.checks import (
+from sklearn_hd._identify.stages import (
     DEFAULT_BLOCK_ROWS,
+    SubspaceFit,
     allowed_block_rows,
+    by_gap,
+    decompose,
     fewer_block_rows,
+    fit_matrices,
     rows_of_predictor,
+    subspace_fit,
     warn_of_feedback,
 )
-from sklearn_hd._identify.stages import SubspaceFit, by_gap, decompose, fit_matrices, subspace_fit
 from sklearn_hd._identify.statistics import Facts, Records
 from sklearn_hd.algorithms.lti.simulation import growth
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns

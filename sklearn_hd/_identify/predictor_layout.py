@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from sklearn_hd._checks import LITTLE
-from sklearn_hd._identify.checks import MOST_PREDICTOR_ROWS, or_hop, warn_of_feedback
+from sklearn_hd._identify.stages import MOST_PREDICTOR_ROWS, or_hop, warn_of_feedback
 from sklearn_hd.algorithms.periodic.periodic_predictor import LagSums, Layout, spread_rows
 from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN
 

@@ -19,9 +19,14 @@ import numpy as np
 
 from sklearn_hd._checks import DECISIVE, LITTLE, STANDARD_ERRORS
 from sklearn_hd._fit_checks import check_motion, warn_of_thinning
+from sklearn_hd._frame import SampleModel
 from sklearn_hd._guards import held_back, searching, warn
-from sklearn_hd._identify.checks import (
+from sklearn_hd._identify.predictor_layout import rows_told
+from sklearn_hd._identify.sample_models import Choice
+from sklearn_hd._identify.stages import (
     MOST_PREDICTOR_ROWS,
+    Settings,
+    SubspaceFit,
     check_outputs_move,
     check_told_from_loads,
     check_turns,
@@ -29,14 +34,10 @@ from sklearn_hd._identify.checks import (
     warn_of_growth,
     warn_of_little,
 )
-from sklearn_hd._identify.predictor_layout import rows_told
-from sklearn_hd._identify.sample_models import Choice
-from sklearn_hd._identify.stages import Settings, SubspaceFit
 from sklearn_hd._identify.statistics import Facts
 from sklearn_hd._opinion import DOUBT, Opinion, lasting, more_doubtful, of_halves, why_unconfirmed
 from sklearn_hd._readings import SampleBasis
 from sklearn_hd._residuals import why_incomplete
-from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._simulators import without_gain
 from sklearn_hd.algorithms.likelihood.small_motions import AS_LITTLE
 from sklearn_hd.algorithms.linalg.rounding import EPS, EXACT, HALF

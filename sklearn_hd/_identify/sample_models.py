@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd._identify.checks import why_no_noise
 from sklearn_hd._identify.predictor_layout import compared_rows, predictor_layouts
+from sklearn_hd._identify.stages import why_no_noise
 from sklearn_hd.algorithms.likelihood.innovations_steps import most_likely
 from sklearn_hd.algorithms.likelihood.small_motions import AS_LITTLE, LargeMotions
 from sklearn_hd.algorithms.lti.simulation import GROWN

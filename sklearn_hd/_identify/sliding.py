@@ -20,8 +20,7 @@ period. Its coefficients at the analysed rows are time-invariant
 import numpy as np
 
 from sklearn_hd._fit_checks import check_motion
-from sklearn_hd._identify.checks import allowed_block_rows
-from sklearn_hd._identify.stages import decompose, fit_matrices, subspace_fit
+from sklearn_hd._identify.stages import allowed_block_rows, decompose, fit_matrices, subspace_fit
 from sklearn_hd._identify.statistics import Facts, Records
 from sklearn_hd._readings import highest_harmonic
 from sklearn_hd._records.data import rows_read

@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sklearn_hd._checks import check_frequencies
-from sklearn_hd._frame import LTIModel
+from sklearn_hd._frame import LTIModel, SampleModel
 from sklearn_hd._readings import coefficient_names, highest_harmonic
-from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.algorithms.likelihood.uncertainty import propagate_std
 from sklearn_hd.algorithms.lti.simulation import step_response
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure

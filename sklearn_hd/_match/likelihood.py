@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 
 from sklearn_hd._fit_checks import longest_span
+from sklearn_hd._frame import SampleModel
 from sklearn_hd._guards import first_of, warn
 from sklearn_hd._match import Match, periodic_match
 from sklearn_hd._match.affine import decomposed_basis, match_samples
@@ -22,7 +23,6 @@ from sklearn_hd._match.periodic import warn_in_place_of_states
 from sklearn_hd._match.record_data import Fit, RecordData
 from sklearn_hd._match.trust import trusted, warn_of_slow
 from sklearn_hd._records.delays import as_measured, warn_of_doubt
-from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.algorithms.likelihood.free_form import free_form, highest
 from sklearn_hd.algorithms.likelihood.search import OverflowingStartError
 from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete

@@ -11,9 +11,9 @@ from functools import partial
 import numpy as np
 from scipy import sparse
 
+from sklearn_hd._frame import SampleModel
 from sklearn_hd._records.data import Experiment, output_scale
 from sklearn_hd._records.delays import in_whole_samples, most_samples
-from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.algorithms.likelihood.delay_search import Cells, most_likely, through_cells
 from sklearn_hd.algorithms.likelihood.forms import Form, interpolating
 from sklearn_hd.algorithms.likelihood.prediction_error import (

@@ -5,9 +5,9 @@ import re
 import numpy as np
 import pandas as pd
 
+from sklearn_hd._frame import SampleModel
 from sklearn_hd._report.facts import exponents_of, motion_table
 from sklearn_hd._report.page import attempt, digits, facts_table, figure, line, table, with_reach
-from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.algorithms.signals.fourier import harmonic_labels
 from sklearn_hd.plotting import (
     BodeDisplay,

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from sklearn_hd._containers import without_inputs
+from sklearn_hd._frame import SampleModel
 from sklearn_hd._model_step import ModelStep
 from sklearn_hd._report import models
 from sklearn_hd._report.facts import (
@@ -23,7 +24,6 @@ from sklearn_hd._report.facts import (
     words_of,
 )
 from sklearn_hd._report.page import closed_figures, digits, facts_table, figure, line, page, table
-from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.frequency import estimate_omega
 from sklearn_hd.model_selection._scorers import last_model_step
 from sklearn_hd.plotting import AzimuthDisplay, HarmonicsDisplay, ResponseDisplay

@@ -21,8 +21,8 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._checks import FIRST, check_span
 from sklearn_hd._clock import read_time
+from sklearn_hd._frame import SampleModel
 from sklearn_hd._model_step import ModelStep
-from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.matching import StructuredMatcher
 from sklearn_hd.subspace import MOESPRegressor
 from sklearn_hd.systems import LTPSystem
