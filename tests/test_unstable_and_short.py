@@ -337,6 +337,13 @@ def test_a_model_that_drifts_has_no_norm():
     A, B, C = np.diag([0.0, -1.0]), np.ones((2, 1)), np.eye(2)
     model = LTIModel(A, B, C, np.zeros((2, 1)), 0.0, ("u",), ("y", "z"))
     structure = MatrixStructure(A=np.full((2, 2), np.nan), B=np.full((2, 1), np.nan))
-    settings = MatchSettings("hinf", None, None, 0, 0, 10, None)
+    settings = MatchSettings(
+        criterion="hinf",
+        output_weights=None,
+        input_weights=None,
+        n_starts=0,
+        random_state=0,
+        max_iter=10,
+    )
     with pytest.raises(UnstableModelError, match="the model has a pole at 0, outside"):
         match_affine(model, None, structure, settings)

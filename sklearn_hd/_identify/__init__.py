@@ -38,22 +38,17 @@ from sklearn_hd._records.delays import (
     as_measured,
     asked_delays,
     in_machine_time,
-    in_whole_samples,
     most_samples,
     warn_of_doubt,
 )
-from sklearn_hd.algorithms.likelihood.delay_search import Cells, first_answers, most_likely
-from sklearn_hd.algorithms.likelihood.forms import Form
-from sklearn_hd.algorithms.likelihood.prediction_error import output_error_of
-from sklearn_hd.algorithms.likelihood.search import cost_of_best_inputs
+from sklearn_hd._records.likelihood import RecordData, SearchSettings
+from sklearn_hd.algorithms.likelihood.delay_search import first_answers
 from sklearn_hd.algorithms.lti.simulation import discrete_to_continuous, simulate
 from sklearn_hd.algorithms.modes.free_decay import free_decay, smooth_parts, without_products
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
 
 MODULES = {"plain": plain, "sliding": sliding, "period": period, "sample": sample}
-
-MOST_STEPS, FEW_STEPS = 50, 10  # of a search for the largest likelihood, and for its samples
 
 
 def without_delays(experiment, delays, settings, identify):
@@ -177,49 +172,19 @@ def _searched(experiment, delays):
 
 def _refined(fit, machine):
     """Delays of largest likelihood of plain data, with their deviations; None where none is."""
-    model, origin, delays = fit.model, machine.origin, machine.delays
-    dt = machine.base.sample_time
+    model, delays = fit.model, machine.delays
     if not model.n_states:
         return None
     try:
         A, B = discrete_to_continuous(model.A, model.B, model.dt)
     except ValueError:  # no continuous model: fractions of a sample mean nothing
         return None
-    whole = np.block([[A, B], [model.C, model.D]])
-    structure = PeriodicStructure.all_free((1, *whole.shape), model.n_states)
-    cells = Cells.of(delays.seconds / dt, delays.n_inputs, delays.free)
-
-    size, most = output_scale(origin), most_samples(origin)
-    begin = structure.nearest(whole[None])
-
-    def problem(cells, least=0):
-        moved = in_whole_samples(origin, cells.input_lags, cells.output_lags, least)
-        segments = [(u, y, 0) for u, y in zip(moved.inputs, moved.outputs, strict=True)]
-        form = Form(structure, 2.0 * np.pi / dt, 1, delays=cells.fractions, gauge=True)
-        return form, segments
-
-    def cost(cells):
-        start = np.append(begin, cells.fractions.start)
-        return cost_of_best_inputs(*problem(cells, most + 1), start, size)
-
-    def fit(cells, before, sigma=None):
-        late, (form, segments) = cells.fractions.start, problem(cells)
-        start = begin if before is None else before.theta
-        wide = np.full(len(start), np.inf)
-        found = output_error_of(
-            form,
-            segments,
-            np.append(start, late),
-            bounds=(np.append(-wide, 0.0 * late), np.append(wide, 1.0 + 0.0 * late)),
-            sigma=sigma,
-            max_iter=MOST_STEPS if sigma is None else FEW_STEPS,
-        )
-        return found, cells.at(found.delays), found.cost / found.n_residuals
-
-    found, cells = most_likely(cells, most, cost, partial(fit, sigma=size), fit)
-    std, k = np.full(len(delays.names), np.nan), structure.n_parameters
-    std[cells.fractions.free] = np.sqrt(np.diag(found.covariance)[k:]) * dt
-    return delays.at(cells.samples * dt, std)
+    whole = np.block([[A, B], [model.C, model.D]])[None]
+    structure = PeriodicStructure.all_free(whole.shape, model.n_states)
+    data = RecordData.of(machine, True, None, gauge=True)
+    found = data.fit(structure, structure.nearest(whole), SearchSettings())
+    of_delays = found.covariance[structure.n_parameters :]
+    return found.data.deviations(found.data.delays_of(delays), of_delays)
 
 
 def identify_frame(X, y, settings, *delays):

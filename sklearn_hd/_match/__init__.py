@@ -10,6 +10,7 @@ import numpy as np
 from sklearn_hd._checks import check_frequencies
 from sklearn_hd._frame import LTIModel, SampleModel
 from sklearn_hd._readings import coefficient_names, highest_harmonic
+from sklearn_hd._records.likelihood import SearchSettings
 from sklearn_hd.algorithms.likelihood.uncertainty import propagate_std
 from sklearn_hd.algorithms.lti.simulation import step_response
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure
@@ -26,27 +27,19 @@ from sklearn_hd.systems.arguments import harmonic_names
 LIKELIHOODS = ("output_error", "prediction_error")
 
 
-@dataclass(frozen=True, eq=False)
-class MatchSettings:
-    """How to match, as the matcher was told."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MatchSettings(SearchSettings):
+    """How to match, as the matcher was told; a likelihood starts from the mean square."""
 
-    criterion: str  # a likelihood starts from the mean square
     output_weights: object  # as given
     input_weights: object  # as given
     n_starts: int
     random_state: int | None
-    max_iter: int
-    input_noise: np.ndarray | None  # (m,)
 
     @property
     def likely(self):
         """Whether a likelihood continues from the match."""
         return self.criterion in LIKELIHOODS
-
-    @property
-    def predicts(self):
-        """Whether the model has a Kalman gain."""
-        return self.criterion == "prediction_error"
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,9 +20,9 @@ from sklearn_hd._match import Match, periodic_match
 from sklearn_hd._match.affine import decomposed_basis, match_samples
 from sklearn_hd._match.input_problem import PATIENCE
 from sklearn_hd._match.periodic import warn_in_place_of_states
-from sklearn_hd._match.record_data import Fit, RecordData
 from sklearn_hd._match.trust import trusted, warn_of_slow
 from sklearn_hd._records.delays import as_measured, warn_of_doubt
+from sklearn_hd._records.likelihood import Fit, RecordData
 from sklearn_hd.algorithms.likelihood.free_form import free_form, highest
 from sklearn_hd.algorithms.likelihood.search import OverflowingStartError
 from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete
@@ -198,7 +198,7 @@ def _refine_harmonics(match, structure, open_to, data, settings):
         if of_counts(every).n_parameters <= AFFORDABLE * begun.fit.structure.n_parameters:
             best = fit(every, start.coefficients, exact)
         if not best.fit.result.converged:
-            return min(begun.fit, best.fit, key=lambda each: each.aic)
+            return min(begun.fit, best.fit, key=lambda each: each.result.aic)
         begun = best
     for name in open_to:
         if name == "G" and settings.input_noise is not None:
@@ -211,7 +211,7 @@ def _refine_harmonics(match, structure, open_to, data, settings):
             best = _climb(best, name, ahead, partial(fit, settings=exact))
     if settings.predicts and best is not begun:  # K answers for what a structure cannot
         again = fit(best.counts, best.coefficients, settings)
-        best = min(best, again, key=lambda candidate: candidate.fit.aic)
+        best = min(best, again, key=lambda candidate: candidate.fit.result.aic)
     return data.fit(best.fit.structure, best.fit.theta, settings, like=best.fit)
 
 
@@ -238,10 +238,10 @@ def _climb(best, name, ahead, fit):
             break
         if not at.fit.result.converged:
             break
-        worse = 0 if at.fit.aic < best.fit.aic else worse + 1
+        worse = 0 if at.fit.result.aic < best.fit.result.aic else worse + 1
         best = at if worse == 0 else best
         # still fewer harmonics fit worse, if anything, so none has a smaller criterion
-        hopeless = count < best.counts[name] and 2.0 * at.fit.result.cost >= best.fit.aic
+        hopeless = count < best.counts[name] and 2.0 * at.fit.result.cost >= best.fit.result.aic
         if worse == PATIENCE or hopeless:
             break
     return best

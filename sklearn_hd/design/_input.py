@@ -11,8 +11,8 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_hd._checks import check_choice, check_count, check_numbers, check_positive
 from sklearn_hd._excitation import TOO_LARGE
 from sklearn_hd._guards import one_blas_thread, within_range
-from sklearn_hd._match.record_data import RecordData, with_loads
 from sklearn_hd._records.data import read_experiment
+from sklearn_hd._records.likelihood import RecordData, with_loads
 from sklearn_hd.algorithms.likelihood.forms import Form, interpolating
 from sklearn_hd.algorithms.likelihood.input_design import (
     ExponentBound,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from predictor_cases import OMEGA, oscillator
 
-from sklearn_hd._match.record_data import with_loads
+from sklearn_hd._records.likelihood import with_loads
 from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.likelihood import (
     _AboutWaveform,

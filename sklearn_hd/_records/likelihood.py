@@ -1,4 +1,4 @@
-"""A record as a likelihood sees it, and the settings of the fit.
+"""A record as a likelihood sees it, and the settings of the search.
 
 It holds inputs and outputs of each segment with the phases of their samples, a constant input if
 there is a forced response, and both values of an input within a sample if delays are not whole
@@ -36,6 +36,20 @@ COARSE = 0.1  # of the likelihood, in all, by which a candidate may miss its bes
 
 
 @dataclass(frozen=True, eq=False)
+class SearchSettings:
+    """How the largest likelihood is searched."""
+
+    criterion: str = "output_error"
+    max_iter: int = 50
+    input_noise: np.ndarray | None = None  # (m,)
+
+    @property
+    def predicts(self):
+        """Whether the model has a Kalman gain."""
+        return self.criterion == "prediction_error"
+
+
+@dataclass(frozen=True, eq=False)
 class Fit:
     """A fit of a structure, with the form and the record that it was fitted to.
 
@@ -67,11 +81,6 @@ class Fit:
             return self.result.covariance
         return self.result.covariance[np.ix_(self.places, self.places)]
 
-    @property
-    def aic(self):
-        """Akaike's criterion."""
-        return self.result.aic
-
 
 @dataclass(frozen=True, eq=False)
 class RecordData:
@@ -88,12 +97,13 @@ class RecordData:
     cells: Cells | None = None  # delays, if not all are whole samples or some are parameters
     raw: bool = True  # inputs as measured, not their harmonics
     input_size: np.ndarray | None = None  # (n, m): about that of each entry of G(ψ)
+    gauge: bool = False  # whether the states may be any coordinates
 
     @classmethod
-    def of(cls, experiment, raw, start, *, discrete=False, input_size=None):
+    def of(cls, experiment, raw, start, *, discrete=False, input_size=None, gauge=False):
         """Of a record without its delays; of how it was measured, if these are to be refined."""
         cells = None if discrete else _cells(experiment, raw)
-        data = cls._of(experiment, raw, start, discrete, input_size)
+        data = replace(cls._of(experiment, raw, start, discrete, input_size), gauge=gauge)
         return data if cells is None else data._in_cells(cells)
 
     def _in_cells(self, cells, least=0):
@@ -101,7 +111,8 @@ class RecordData:
         origin = self.experiment.origin
         moved = in_whole_samples(origin, cells.input_lags, cells.output_lags, least)
         moved = replace(moved, origin=origin)
-        return replace(self._of(moved, self.raw, self.start, False, self.input_size), cells=cells)
+        data = self._of(moved, self.raw, self.start, False, self.input_size)
+        return replace(data, cells=cells, gauge=self.gauge)
 
     @classmethod
     def _of(cls, experiment, raw, start, discrete, input_size):
@@ -211,6 +222,7 @@ class RecordData:
         n_phases = self.n_phases if between else round(self.n_phases)
         trim = self.start is None and self.experiment.basis.output_trim is not None
         form = Form(structure, self.omega, n_phases, self.observe, self.discrete, waveform=trim)
+        form = replace(form, gauge=self.gauge)
         if between and self.discrete:  # products of two matrices have twice the harmonics
             return replace(form, n_points=4 * max(structure.n_harmonics, self.n_loads) + 1)
         return interpolating(form, theta) if between else form
