@@ -34,10 +34,9 @@ class Lifted:
         z[k+1] = A z[k] + B w[k],   y[k] = C z[k] + D w[k],   w[k] = (u[k] directions, 1)
 
     u[k] and y[k] hold the samples of period k one after another, all signals of each, trim
-    subtracted.
+    subtracted. A is that of the model, its multipliers refined on all samples.
     """
 
-    A: np.ndarray  # (n, n): that of the model, its multipliers refined on all samples
     B: np.ndarray  # (n, r + 1): its last column is for a constant error of the trim
     C: np.ndarray  # (samples_per_period * n_outputs, n)
     D: np.ndarray  # (samples_per_period * n_outputs, r + 1)

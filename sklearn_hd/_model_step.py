@@ -302,7 +302,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         samples, trim = self._samples_late(experiment), experiment.output_trim_at_rows()
         moving, known = [], []
         for i, (y, *each) in enumerate(zip(outputs, simulators, sampling.pieces, strict=True)):
-            on_grid, at_rows = steady(*each, experiment.basis, y.shape[1], samples)
+            on_grid, at_rows = steady(*each, y.shape[1], samples)
             moving.append(y - on_grid)
             known.append(at_rows if trim is None else at_rows + trim[i])
         return sampling.back(moving, known)

@@ -21,7 +21,6 @@ DOUBT = 0.1  # of a rate, within which it has to be known: an engineer has anoth
 WAY_OUT = (
     "use a longer record, smaller motions, less noise or another order, and check omega (rad/s)"
 )
-LEAST_APART = DOUBT / 2.0  # of a rate, that two ways have to be apart for one to contradict
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +193,7 @@ def doubtful(exponents, opinion):
     - It has to know them, and to agree: to DOUBT, distance and error apart where it is their own,
       together else. Of another way that is not needed, modes within its error pass, too; those
       within the record do if it does not know.
-    - Of another way, it contradicts from LEAST_APART on if chance does not explain that. If it is
+    - Of another way, it contradicts from DOUBT / 2 on if chance does not explain that. If it is
       complete, those that are more than it has are in doubt.
     - What does not change within the record is in doubt whatever else is known of it.
 
@@ -211,7 +210,7 @@ def doubtful(exponents, opinion):
         sure = np.where(error <= DOUBT, apart <= np.maximum(DOUBT - error, error), within)
     vague = ~sure | unchanging(exponents, opinion)
     if not opinion.own:
-        vague |= apart > np.maximum(LEAST_APART, STANDARD_ERRORS * spread)
+        vague |= apart > np.maximum(DOUBT / 2.0, STANDARD_ERRORS * spread)
         if opinion.complete:
             vague |= _too_many(exponents, apart, opinion)
     return vague & opinion.judges(exponents)

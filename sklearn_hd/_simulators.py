@@ -170,13 +170,13 @@ class LiftedSimulator(SegmentSimulator):
             return super().outputs(x0, recompose=False, n_samples=n_samples)
         n_samples = len(self.time[:n_samples])
         lifted, w = self.model.lifted, self.w[: self._n_steps(n_samples)]
-        Y = simulate(lifted.A, lifted.B, lifted.C, lifted.D, w, x0)
+        Y = simulate(self.A, lifted.B, lifted.C, lifted.D, w, x0)
         return self._unrolled(self._finite(Y), n_samples)
 
     def free(self, n_samples):
         """Outputs of the first samples for each unit initial state, (n, n_samples, n_outputs)."""
         n, steps = self.model.n_states, self._n_steps(n_samples)
-        states = propagate(self.model.lifted.A, np.zeros((n, steps, n)), np.eye(n))
+        states = propagate(self.A, np.zeros((n, steps, n)), np.eye(n))
         return self._unrolled(states @ self.model.lifted.C.T, n_samples)
 
     def _unrolled(self, Y, n_samples):
@@ -206,7 +206,7 @@ def without_gain(model, experiment):
     return sample_simulators(still, experiment)
 
 
-def steady(simulator, piece, basis, n_outputs, samples):
+def steady(simulator, piece, n_outputs, samples):
     """What repeats itself of the outputs of a segment, trim aside, some samples late.
 
     Returns
@@ -219,7 +219,8 @@ def steady(simulator, piece, basis, n_outputs, samples):
     forced = late(forced, samples)
     if piece.is_grid:
         return forced, forced
-    psi, orders = basis.azimuth(piece.grid), range(1)
+    basis, orders = simulator.basis, range(1)
+    psi = basis.azimuth(piece.grid)
     if forced.any():
         orders = range(min(basis.most_harmonics, (len(psi) - 1) // 4) + 1)
     coefficients = linalg.lstsq(harmonic_functions(psi, orders), forced)[0]
@@ -249,7 +250,7 @@ def fit_initial_state(simulator, outputs, rows):
     return solve_within_rank(regressors, target, cond=RANK)
 
 
-def predicted_ahead(simulator, outputs, horizon, x0=None, *, rows=None, recompose=True):
+def predicted_ahead(simulator, outputs, horizon, x0=None, *, rows, recompose):
     """Outputs of one segment, predicted some rows ahead.
 
     Parameters
@@ -261,16 +262,15 @@ def predicted_ahead(simulator, outputs, horizon, x0=None, *, rows=None, recompos
         Rows of the model from the last output used to the one predicted.
     x0 : ndarray, shape (n_states,), optional
         The state with the least innovations where not given.
-    rows : slice, optional
-        Samples that x0 is fitted to; all by default.
+    rows : slice
+        Samples that x0 is fitted to.
     recompose : bool
         False gives harmonics.
     """
     model, u, form = simulator.model, simulator.drive, simulator.form
-    Y, seen = simulator.read(outputs), None
-    if rows is not None:
-        seen = max(1, simulator.n_read_within(rows.stop))
+    Y = simulator.read(outputs)
     if x0 is None:
+        seen = max(1, simulator.n_read_within(rows.stop))
         x0 = form.initial_state(u[: len(Y)][:seen], Y[:seen], model.innovations_covariance)
     return simulator.observe(form.ahead(u, Y, x0, horizon), simulator.time, recompose)
 
@@ -413,11 +413,11 @@ def scored_simulation(step, X, y, horizon=None):
         outputs = _fitted_outputs(step, simulator, seen, warm, horizon)
         if seen is y_segment:
             outputs = late(outputs, samples)
-            on_grid, loads = steady(simulator, piece, experiment.basis, outputs.shape[1], samples)
+            on_grid, loads = steady(simulator, piece, outputs.shape[1], samples)
             known = loads if trim is None else trim[i] + loads
             truth.append(measured - known[within])
         else:
-            on_grid, loads = steady(simulator, piece, experiment.basis, outputs.shape[1], 0.0)
+            on_grid, loads = steady(simulator, piece, outputs.shape[1], 0.0)
             truth.append(piece.back(seen - on_grid)[within])
         simulated.append(piece.back(outputs - on_grid)[within])
         forced.append(loads[within])

@@ -249,7 +249,7 @@ def _lifted(model, data, experiment, known, forced):
     size = np.tile(np.where(size > 0.0, size, 1.0), u.shape[1])
     directions = linalg.lstsq(u.reshape(len(u), -1) / size, W[:, :-1])[0] / size[:, None]
     scale = np.tile(output_scale(experiment), basis.samples_per_period)[:, None]
-    return replace(model, lifted=Lifted(A, B, scale * sights, scale * D, directions, float(left)))
+    return replace(model, lifted=Lifted(B, scale * sights, scale * D, directions, float(left)))
 
 
 def _excitation(experiment, settings):

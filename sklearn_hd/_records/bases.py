@@ -16,6 +16,7 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd._checks import (
+    LITTLE,
     PERIOD_TOLERANCE,
     STANDARD_ERRORS,
     check_count,
@@ -57,10 +58,8 @@ ROWS_PER_PERIOD = 8
 ROWS_PER_TURN = 24  # kept of samples: 12 harmonics of the turn
 ANGLES = {"degrees": (np.pi / 180.0, "np.deg2rad({})"), "turns": (2.0 * np.pi, "2 * np.pi * {}")}
 ORBIT_ORDERS = range(5)  # harmonics of an orbit that is looked for in other units of the azimuth
-HALF_OF_IT = 0.5  # of what the azimuth as it is leaves of the outputs
 LISTED = 6  # records that a message names
 SLIGHT = 1e-4  # of the energy of the motion, 1 % of its size: what is less is no matter
-MOST_MOTION = 0.01  # of its energy, that a trim may hold
 MOST_WAVEFORM = 0.5  # of the energy of an output: a waveform that holds more is a trim
 PARTS = 8  # of a record, by which a waveform is told from its motion
 
@@ -327,7 +326,7 @@ def _warn_of_unit(name, azimuth, outputs):
     own, span = left(1.0), np.ptp(azimuth)
     for unit, (radians, way) in ANGLES.items():
         turns = radians * span / TURN
-        if turns >= LEAST_TURNS and left(radians) < HALF_OF_IT * own:
+        if turns >= LEAST_TURNS and left(radians) < 0.5 * own:
             column = f"X[{name!r}]"
             warn(
                 f"the outputs repeat themselves with the azimuth column {name!r} if that is in "
@@ -536,13 +535,13 @@ def _warn_of_drift(sampling, given, basis, start, stop):
         return
     moved = motion_of(within[0]) / np.where(motions[0] > 0.0, motions[0], 1.0) / n_turns
     still = np.concatenate(turns_at_rest(whole[0]))  # inputs of noise alone rest nowhere
-    if still.any() and np.max(moved) > MOST_MOTION:
+    if still.any() and np.max(moved) > LITTLE:
         what, share = "inputs move", np.max(moved)
     else:
         pairs = zip(within, motions, strict=True)
         share = max(drift(turns, motion) for parts, motion in pairs for turns in parts)
         what = "outputs are not at rest"
-    if share > MOST_MOTION:
+    if share > LITTLE:
         warn(
             f"the {what} within trim_span=({start:g}, {stop:g}): the waveform subtracted as trim "
             f"holds {np.sqrt(share):.2g} of the motion in the record (rms); give a span that "
