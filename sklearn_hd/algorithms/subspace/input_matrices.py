@@ -22,8 +22,6 @@ where the first would not do:
    response of the states so far, A^k and Σ_t A^{k-1-t} u_t, or the numbers it is made of.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy import linalg
 from scipy.signal import fftconvolve
@@ -35,6 +33,7 @@ from sklearn_hd.algorithms.subspace.responses import (
     alike_states,
     normal_equations,
     output_normal,
+    powers_of,
     response_basis,
     response_products,
     run,
@@ -44,7 +43,6 @@ from sklearn_hd.algorithms.subspace.responses import (
 MAX_GROWTH = 20.0  # e-folds over which an unstable model is simulated in one piece
 CONVOLVED_ORDER = 40  # from which on responses are convolved, in less time than by recursion
 CHUNK_BYTES = 2**22  # of equations at a time; three times as much stands beside them
-CARRIED_STEPS = 64  # of states, multiplied together
 
 
 def response_regressors(A, C, u, feedthrough):
@@ -154,7 +152,7 @@ def input_matrices(
         shared = triangle(shared, left)
     # by columns of equal length, so that units do not decide the rank; the shortest one
     theta = solve_within_rank(shared[:, :-1], shared[:, -1])
-    x0 = np.array([starts[k].solve(theta) for k in firsts])
+    x0 = np.array([right - coupling @ theta for right, coupling in (starts[k] for k in firsts)])
     found = *split(theta, n, m, n_outputs), x0
     if not return_residual:
         return found
@@ -202,23 +200,11 @@ def _product_factor(normal, u, y, feedthrough, scales):
     return R
 
 
-@dataclass(frozen=True)
-class _InitialState:
-    """Equations of a record's initial state once B and D are known."""
-
-    inverse: np.ndarray  # (n, r)
-    coupling: np.ndarray  # (r, n_shared)
-    right: np.ndarray  # (r,)
-
-    def solve(self, theta):
-        """The initial state beside some B and D."""
-        return self.inverse @ (self.right - self.coupling @ theta)
-
-
 def _without_start(R, n):
-    """The equations that an initial state takes, and those left for B and D.
+    """The initial state beside some B and D, and the equations left for these.
 
-    Directions in which it is not seen take none.
+    Directions in which it is not seen take none. Of the initial state, what it is without B and D,
+    and what each of their entries takes away.
     """
     R = np.vstack([R, np.zeros((max(0, n - len(R)), R.shape[1]))])
     own, rest = R[:n, :n], R[:n, n:]
@@ -228,8 +214,8 @@ def _without_start(R, n):
     r = int(np.sum(s > EPS * max(n, 1) * np.max(s, initial=0.0)))
     inverse = Vt[:r].T / s[:r] / scale[:, None]
     turned = U.T @ rest
-    start = _InitialState(inverse, turned[:r, :-1], turned[:r, -1])
-    return start, np.vstack([turned[r:], R[n:, n:]])
+    start = inverse @ turned[:r]
+    return (start[:, -1], start[:, :-1]), np.vstack([turned[r:], R[n:, n:]])
 
 
 def _record_factor(A, C, u, y, feedthrough, observe, scales):
@@ -295,13 +281,8 @@ def _carry(A, u, carried=None):
         Entries of B row by row.
     """
     n, m = len(A), u.shape[1]
-    power, forced = carried or (np.eye(n), np.zeros((n, n * m)))
-    powers = [np.eye(n)]
-    for _ in range(min(CARRIED_STEPS, len(u))):
-        powers.append(A @ powers[-1])
-    powers = np.stack(powers)
-    for start in range(0, len(u), CARRIED_STEPS):
-        block = u[start : start + CARRIED_STEPS]
-        own = np.tensordot(powers[len(block) - 1 :: -1], block, (0, 0)).reshape(n, n * m)
-        forced, power = powers[len(block)] @ forced + own, powers[len(block)] @ power
-    return power, forced
+    powers = powers_of(A, len(u))
+    forced = np.tensordot(powers[-2::-1], u, (0, 0)).reshape(n, n * m)
+    if carried is None:
+        return powers[-1], forced
+    return powers[-1] @ carried[0], powers[-1] @ carried[1] + forced

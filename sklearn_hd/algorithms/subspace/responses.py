@@ -54,13 +54,6 @@ class ResponseBasis:
     g: np.ndarray  # (q,)
     units: np.ndarray  # (q, n, n): the matrix N_s that each w belongs to
 
-    def powers(self, last):
-        """F⁰ … F^last, shape (last + 1, q, q)."""
-        powers = np.stack([np.eye(len(self.g)), self.F])
-        while len(powers) <= last:
-            powers = np.concatenate([powers, powers[1:] @ powers[-1]])
-        return powers[: last + 1]
-
 
 def response_basis(A):
     """Basis of the responses of x[k+1] = A x + B u, y = C x, to any B.
@@ -111,13 +104,12 @@ def _block_numbers(block):
     return F, np.stack(powers)
 
 
-def pulses(F, g, count):
-    """g, F g, F² g, …, shape (count, q)."""
-    found, step = g[None], F
-    while len(found) < count:
-        found = np.concatenate([found, found @ step.T])
-        step = step @ step
-    return found[:count]
+def powers_of(A, last):
+    """A⁰ … A^last, shape (last + 1, n, n)."""
+    powers = np.stack([np.eye(len(A)), A])
+    while len(powers) <= last:
+        powers = np.concatenate([powers, powers[1:] @ powers[-1]])
+    return powers[: last + 1]
 
 
 def split(theta, n, m, n_outputs):
@@ -259,7 +251,7 @@ def response_products(basis, u, y, scales):
     """
     n_samples, m, q = *u.shape, len(basis.g)
     L = _block(q, m, y.shape[1], n_samples)
-    powers = basis.powers(L)
+    powers = powers_of(basis.F, L)
     within = _pulse_responses(powers, basis.g)
     forcing = (within[L][:, None, None] * np.eye(m)[..., None]).reshape(L * m, m * q)
     n_blocks = -(-n_samples // L)

@@ -49,6 +49,7 @@ from scipy import fft, linalg
 
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS
 from sklearn_hd.algorithms.linalg.triangular import safe_cholesky
+from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.subspace.innovations import REACH, InnovationForm
 from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
 from sklearn_hd.algorithms.subspace.lag_products import LagProducts, Stretch, stretch
@@ -57,7 +58,6 @@ from sklearn_hd.algorithms.subspace.responses import (
     alike_states,
     normal_equations,
     output_normal,
-    pulses,
     split,
 )
 
@@ -239,7 +239,7 @@ def _record_products(basis, sums, scales):
     Normal equations are linear in these.
     """
     m, scale, reach = len(scales[0]), np.concatenate(scales), len(sums.lags) - 1
-    answers = pulses(basis.F, basis.g, reach)
+    answers = propagate(basis.F, np.zeros((reach, len(basis.g))), basis.g)
     if np.max(np.abs(answers[-1])) > DEPENDENT and any(e.n_rows > reach for e in sums.ends):
         return None
     forced = np.tensordot(answers, sums.lags[1:], ((0,), (0,))).transpose(1, 0, 2)
