@@ -49,7 +49,7 @@ from sklearn_hd._simulators import (
     states_by_record,
     steady,
 )
-from sklearn_hd.algorithms.signals.resampling import advanced, late
+from sklearn_hd.algorithms.signals.resampling import late
 from sklearn_hd.algorithms.signals.trim import LEVEL
 from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.systems.export import write
@@ -406,7 +406,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         simulators, states, short = self._simulators(experiment), [], []
         samples, unread = self._samples_late(experiment), leads(experiment)[1]
         for simulator, outputs in zip(simulators, experiment.outputs, strict=True):
-            measured = advanced(outputs, samples)
+            measured = late(outputs, -samples)
             warm, counted = score_rows(self, simulator, experiment)
             if counted.start >= counted.stop:
                 short.append(len(measured))
@@ -565,7 +565,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
             late(
                 predicted_ahead(
                     simulator,
-                    advanced(measured, samples),
+                    late(measured, -samples),
                     horizon,
                     start,
                     rows=slice(0, len(measured) - unread),

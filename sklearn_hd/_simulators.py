@@ -23,7 +23,7 @@ from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, propaga
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_innovations import AtSamples
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
-from sklearn_hd.algorithms.signals.resampling import advanced, late
+from sklearn_hd.algorithms.signals.resampling import late
 from sklearn_hd.algorithms.subspace.innovations import InnovationForm
 from sklearn_hd.exceptions import InstabilityWarning, UnstableModelError
 
@@ -398,7 +398,7 @@ def scored_simulation(step, X, y, horizon=None):
     samples = (step._samples_late if horizon is None else step._samples_ahead)(experiment)
     parts = zip(simulators, experiment.outputs, sampling.pieces, strict=True)
     for i, (simulator, y_segment, piece) in enumerate(parts):
-        y_segment = advanced(y_segment, samples)
+        y_segment = late(y_segment, -samples)
         warm, counted = score_rows(step, simulator, experiment)
         if counted.start >= counted.stop:
             continue

@@ -14,10 +14,13 @@ from sklearn_hd._identify.stages import why_no_noise
 from sklearn_hd.algorithms.likelihood.innovations_steps import most_likely
 from sklearn_hd.algorithms.likelihood.small_motions import AS_LITTLE, LargeMotions
 from sklearn_hd.algorithms.lti.simulation import GROWN
-from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
+from sklearn_hd.algorithms.periodic.harmonic_balance import (
+    evaluate_harmonics,
+    product,
+    resize_harmonics,
+)
 from sklearn_hd.algorithms.periodic.moving_coordinates import (
     coordinates_without_modes,
-    within,
     without_modes,
 )
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
@@ -336,7 +339,7 @@ class Choice:
         whole = self.model(self._sums(coordinates), models.best.n_harmonics)
         n_harmonics = min(len(coordinates) // 2 + turning, self.most)
         for V in coordinates_without_modes(whole, turning):
-            found = self._of(within(coordinates, V, n_harmonics))
+            found = self._of(resize_harmonics(product(coordinates, V), n_harmonics))
             if found.best.stable and found.is_possible:
                 yield found
 

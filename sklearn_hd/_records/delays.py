@@ -21,7 +21,7 @@ import pandas as pd
 
 from sklearn_hd._guards import warn
 from sklearn_hd._records.sampling import regrouped
-from sklearn_hd.algorithms.signals.resampling import ON_GRID, advanced, arriving, lagged
+from sklearn_hd.algorithms.signals.resampling import ON_GRID, arriving, lagged, late
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
 MOST_SAMPLES = 50  # of a delay that is looked for in plain data
@@ -127,7 +127,7 @@ def in_machine_time(experiment, delays):
     Fractions of a sample by means of held inputs and splines of outputs.
     """
     dt, moved = experiment.base.sample_time, with_delayed_inputs(experiment, delays)
-    outputs = [advanced(y, delays.outputs / dt) for y in experiment.outputs]
+    outputs = [late(y, -delays.outputs / dt) for y in experiment.outputs]
     return _cut(replace(moved, outputs=outputs), *leads(moved))
 
 

@@ -16,7 +16,7 @@ from sklearn_hd._checks import check_count, check_period, check_positive, real_a
 from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.riccati import (
-    closed_loop,
+    defect_and_loop,
     hamiltonian_triples,
     multipliers_of,
     riccati_triples,
@@ -73,7 +73,7 @@ class ContinuousProblem:
         A, G, H = self._triples(self.F, self._reach, self.Q)
         X, psi = solve_periodic_riccati(A, G, H), ends_of_steps(POINTS)[:-1]
         K = np.linalg.solve(self.R(psi), self.G(psi).mT @ X)
-        return X, K, closed_loop(A, G, X)
+        return X, K, defect_and_loop(A, G, H, X)[1]
 
     def evaluate(self, K):
         def loop(psi):

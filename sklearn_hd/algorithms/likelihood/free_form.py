@@ -46,9 +46,11 @@ from sklearn_hd.algorithms.likelihood.search import (
 )
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, EXACT, HALF
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
-from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, resize_harmonics
+from sklearn_hd.algorithms.periodic.harmonic_balance import (
+    product,
+    resize_harmonics,
+)
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
-from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
 
 MOST_TURNS = 50  # of S and inputs in turn
 SETTLED = 1e-11  # fall of the cost, a row, that another turn is worth
@@ -162,13 +164,6 @@ def _charts(family, several):
         slower[:n] = min(1.0, 1.0 / radius) ** (1.0 / form.n_phases)
         charts.append(AllEntries(slower * columns))
     return charts
-
-
-def product(left, right):
-    """Fourier coefficients of the product of two periodic matrices."""
-    H = len(left) // 2 + len(right) // 2
-    psi = 2.0 * np.pi * np.arange(2 * H + 1) / (2 * H + 1)
-    return sampled_harmonics(evaluate_harmonics(left, psi) @ evaluate_harmonics(right, psi), H)
 
 
 def _in_innovations_form(model, search, size, predicts):

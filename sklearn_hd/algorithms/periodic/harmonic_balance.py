@@ -145,13 +145,11 @@ def evaluate_harmonics(coefficients, psi):
     return values.reshape(*psi.shape, *coefficients.shape[1:])
 
 
-def sample_harmonics(coefficients, n_points):
-    """Signals (n, n_points) of given real coefficients (2 N + 1, n) at equal steps of a period."""
-    cosines, sines = coefficients[1::2], coefficients[2::2]
-    spectrum = np.zeros((n_points // 2 + 1, coefficients.shape[1]), dtype=complex)
-    spectrum[0] = coefficients[0]
-    spectrum[1 : len(cosines) + 1] = 0.5 * (cosines - 1j * sines)
-    return n_points * np.fft.irfft(spectrum, n_points, axis=0).T
+def product(left, right):
+    """Fourier coefficients of the product of two periodic matrices."""
+    H = len(left) // 2 + len(right) // 2
+    psi = 2.0 * np.pi * np.arange(2 * H + 1) / (2 * H + 1)
+    return sampled_harmonics(evaluate_harmonics(left, psi) @ evaluate_harmonics(right, psi), H)
 
 
 def resize_harmonics(coefficients, n_harmonics):
@@ -186,8 +184,9 @@ def _check_points(n_points, n_harmonics):
 
 def _orbit(omega, X, u, n_points):
     """x, u and t along the iterate, for the vectorised f."""
-    t = 2.0 * np.pi / omega * np.arange(n_points) / n_points
-    return sample_harmonics(X, n_points), np.broadcast_to(u[:, None], (len(u), n_points)), t
+    psi = 2.0 * np.pi * np.arange(n_points) / n_points
+    x, t = evaluate_harmonics(X, psi).T, psi / omega
+    return x, np.broadcast_to(u[:, None], (len(u), n_points)), t
 
 
 def _residual(f, omega, X, u, targets, n_points):

@@ -19,26 +19,12 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.linalg.rounding import HALF
+from sklearn_hd.algorithms.periodic.floquet import product_of
 from sklearn_hd.algorithms.periodic.harmonic_balance import (
     evaluate_harmonics,
     resize_harmonics,
 )
 from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
-
-
-def within(coordinates, others, n_harmonics):
-    """Coordinates V(ψ) W(ψ) of states W(ψ)ᵀx, where those of x are V(ψ).
-
-    Parameters
-    ----------
-    coordinates, others : ndarray, shapes (2 M + 1, r, n), (2 L + 1, n, k)
-    n_harmonics : int
-        Kept of the product.
-    """
-    n_azimuths = len(coordinates) + len(others) + 2 * n_harmonics
-    psi = 2.0 * np.pi * np.arange(n_azimuths) / n_azimuths
-    product = evaluate_harmonics(coordinates, psi) @ evaluate_harmonics(others, psi)
-    return sampled_harmonics(product, n_harmonics)
 
 
 def coordinates_without_modes(model, n_harmonics):
@@ -96,10 +82,7 @@ def without_modes(model, n_harmonics):
 def _split(model):
     """Bases of the subspaces of the other modes, and of the mode left out, for each of a model."""
     A = replace(model, start=0.0).whole_turn()[1][..., : model.n_states]
-    turn = np.eye(model.n_states)
-    for each in A:
-        turn = each @ turn
-    values, vectors = np.linalg.eig(turn)
+    values, vectors = np.linalg.eig(product_of(A))
     for k in np.flatnonzero(values.imag >= 0.0):  # the other one of a pair follows it
         own = [k, k + 1] if values[k].imag > 0.0 else [k]
         both = np.delete(vectors, own, axis=1), vectors[:, own]

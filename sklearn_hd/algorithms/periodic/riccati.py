@@ -185,7 +185,7 @@ def solve_periodic_riccati(A, G, H):
     -------
     X : ndarray, shape (p, n, n)
         Cost to go from each step. Where no solution stabilises, what is returned leaves a
-        multiplier of :func:`closed_loop` on the unit circle or beyond.
+        multiplier of the loop that it closes on the unit circle or beyond.
 
     Examples
     --------
@@ -193,14 +193,14 @@ def solve_periodic_riccati(A, G, H):
 
     >>> A, G, H = (np.full((1, 1, 1), value) for value in (2.0, 1.0, 0.0))
     >>> X = solve_periodic_riccati(A, G, H)
-    >>> round(float(X.item()), 12), round(float(closed_loop(A, G, X).item()), 12)
+    >>> round(float(X.item()), 12), round(float(defect_and_loop(A, G, H, X)[1].item()), 12)
     (3.0, 0.5)
     """
     A, G, H, units = _balanced(A, G, H)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         X = _swept(A, G, H, _doubled(*composed(A, G, H)))
         for _ in range(REFINEMENTS):
-            defect, loop = _defect(A, G, H, X)
+            defect, loop = defect_and_loop(A, G, H, X)
             correction = solve_periodic_lyapunov(loop, defect)
             if not np.all(np.isfinite(correction)):
                 break
@@ -222,26 +222,9 @@ def solve_periodic_lyapunov(A, H):
     >>> float(solve_periodic_lyapunov(A, H).item())
     4.0
     """
-    Phi, _, X = composed(A, np.zeros_like(A), H)
+    G = np.zeros_like(A)
     with np.errstate(over="ignore", invalid="ignore"):
-        for _ in range(MAX_DOUBLINGS):
-            added = Phi.mT @ X @ Phi
-            X, Phi = X + added, Phi @ Phi
-            if not np.max(np.abs(added), initial=0.0) > EPS * np.max(np.abs(X), initial=0.0):
-                break
-        return _swept(A, np.zeros_like(A), H, _symmetric(X))
-
-
-def closed_loop(A, G, X):
-    """Steps (I + G_k X_{k+1})⁻¹ A_k of the loop that X closes, shape (p, n, n).
-
-    Examples
-    --------
-    >>> one = np.ones((1, 1, 1))
-    >>> float(closed_loop(one, one, one).item())
-    0.5
-    """
-    return _defect(A, G, np.zeros_like(A), X)[1]
+        return _swept(A, G, H, _doubled(*composed(A, G, H)))
 
 
 def multipliers_of(factors):
@@ -261,11 +244,11 @@ def _doubled(A, G, H):
     """X_0 from the triple of a period: its horizon is doubled until nothing is added.
 
     The equation is that of X − c I. Without this start above zero the doubling would find a
-    solution that leaves alone what is unstable and costs nothing.
+    solution that leaves alone what is unstable and costs nothing. With G = 0 there is no other.
     """
     n = len(A)
     cost, reach = np.max(np.abs(H), initial=0.0), np.max(np.abs(G), initial=0.0)
-    start = (cost or 1.0 / (reach or 1.0)) * np.eye(n)
+    start = (cost or 1.0 / reach if reach else 0.0) * np.eye(n)
     W = np.linalg.solve(np.eye(n) + G @ start, np.concatenate([A, G], axis=1))
     H = _symmetric(H + A.mT @ start @ W[:, :n] - start)
     A, G = W[:, :n], _symmetric(W[:, n:])
@@ -287,10 +270,16 @@ def _swept(A, G, H, X):
     return swept
 
 
-def _defect(A, G, H, X):
-    """What (1) leaves of X, and the loop that X closes.
+def defect_and_loop(A, G, H, X):
+    """What (1) leaves of X, and the steps (I + G_k X_{k+1})⁻¹ A_k of the loop that X closes.
 
     With G = L Lᵀ neither loses digits where G X is large, as X (I + G X)⁻¹ would.
+
+    Examples
+    --------
+    >>> one = np.ones((1, 1, 1))
+    >>> [float(M.item()) for M in defect_and_loop(one, one, one, one)]
+    [0.5, 0.5]
     """
     sizes, vectors = np.linalg.eigh(G)
     L = vectors * np.sqrt(np.maximum(sizes, 0.0))[:, None, :]

@@ -266,19 +266,10 @@ def arriving(values, samples):
     return new + rest * (lagged(values, whole + 1) - new)
 
 
-def advanced(values, samples):
-    """Outputs read late, at the rows at which they were; the last ones hold the last value.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n_samples, n_signals)
-    samples : ndarray, shape (n_signals,)
-    """
-    return late(values, -np.asarray(samples, dtype=float))
-
-
 def late(values, samples):
     """Smooth signals some samples later; before the first row they hold the first value.
+
+    Below zero, earlier: outputs read late, at the rows at which they were, the last value held.
 
     Examples
     --------

@@ -7,12 +7,12 @@ import pytest
 
 from sklearn_hd.algorithms.periodic.harmonic_balance import (
     evaluate_harmonics,
+    product,
     resize_harmonics,
-    sample_harmonics,
     solve_harmonic_balance,
 )
 from sklearn_hd.algorithms.periodic.integration import integrate, solve_shooting
-from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
 from sklearn_hd.exceptions import TrimError
 
 OMEGA = 2.0
@@ -127,9 +127,8 @@ def test_right_hand_side_that_takes_one_point_is_refused():
 
 
 def test_sample_then_decompose_is_the_identity():
-    rng = np.random.default_rng(0)
-    X = rng.standard_normal((31, 2))
-    np.testing.assert_allclose(sampled_harmonics(sample_harmonics(X, 64).T, 15), X, atol=1e-14)
+    X, psi = np.random.default_rng(0).standard_normal((31, 2)), 2 * np.pi * np.arange(64) / 64
+    np.testing.assert_allclose(sampled_harmonics(evaluate_harmonics(X, psi), 15), X, atol=1e-14)
 
 
 @pytest.mark.parametrize("n_harmonics", [0, 1, 2, 7, 40])
@@ -137,12 +136,22 @@ def test_series_at_any_point_equals_its_samples(n_harmonics):
     rng = np.random.default_rng(n_harmonics)
     X = rng.standard_normal((2 * n_harmonics + 1, 3))
     psi = 2 * np.pi * np.arange(128) / 128
-    np.testing.assert_allclose(evaluate_harmonics(X, psi), sample_harmonics(X, 128).T, atol=1e-12)
+    sampled = harmonic_functions(psi, range(n_harmonics + 1)) @ X
+    np.testing.assert_allclose(evaluate_harmonics(X, psi), sampled, atol=1e-12)
     assert evaluate_harmonics(X, 0.3).shape == (3,)
     many = np.linspace(-7.0, 9.0, 10_001)  # more than are evaluated at a time
     some = [0, 4095, 4096, 9999, 10_000]
     found, wanted = evaluate_harmonics(X, many)[some], evaluate_harmonics(X, many[some])
     np.testing.assert_allclose(found, wanted, atol=1e-12)
+
+
+def test_coefficients_of_a_product_are_those_of_its_values():
+    rng = np.random.default_rng(3)
+    first, second = rng.standard_normal((3, 5, 4)), rng.standard_normal((5, 4, 2))
+    psi = 2 * np.pi * np.arange(64) / 64
+    expected = evaluate_harmonics(first, psi) @ evaluate_harmonics(second, psi)
+    found = evaluate_harmonics(product(first, second), psi)
+    np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 def test_resize_pads_and_cuts():

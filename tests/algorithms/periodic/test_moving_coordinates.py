@@ -11,7 +11,6 @@ from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.moving_coordinates import (
     _logarithm,
     coordinates_without_modes,
-    within,
     without_modes,
 )
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
@@ -105,15 +104,6 @@ def test_a_mode_that_a_turn_forgets_beyond_rounding_does_no_harm(size):
     for each in found:
         assert np.isfinite(each.coefficients).all()
         assert np.isfinite(each.gain).all()
-
-
-def test_coordinates_within_coordinates_are_their_product():
-    rng = np.random.default_rng(3)
-    first, second = rng.standard_normal((3, 5, 4)), rng.standard_normal((5, 4, 2))
-    both = within(first, second, 3)
-    expected = evaluate_harmonics(first, PSI) @ evaluate_harmonics(second, PSI)
-    np.testing.assert_allclose(evaluate_harmonics(both, PSI), expected, atol=1e-12)
-    np.testing.assert_allclose(within(first, second, 1), both[:3], atol=1e-12)
 
 
 @pytest.mark.parametrize("n", [2, 3, 6])

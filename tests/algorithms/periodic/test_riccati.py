@@ -5,8 +5,8 @@ import pytest
 from scipy import linalg
 
 from sklearn_hd.algorithms.periodic.riccati import (
-    closed_loop,
     composed,
+    defect_and_loop,
     hamiltonian_triples,
     multipliers_of,
     riccati_triples,
@@ -56,7 +56,7 @@ def test_hundred_random_systems_satisfy_the_equation_and_are_stable():
         A, G, H = riccati_triples(*problem)
         X = solve_periodic_riccati(A, G, H)
         assert relative_defect(*problem, X) < 1e-10, seed
-        assert np.abs(multipliers_of(closed_loop(A, G, X))[0]) < 1.0, seed
+        assert np.abs(multipliers_of(defect_and_loop(A, G, H, X)[1])[0]) < 1.0, seed
         assert np.linalg.eigvalsh(X).min() > -1e-10 * np.abs(X).max(), seed
 
 
@@ -103,7 +103,7 @@ def test_what_costs_nothing_is_mirrored_at_the_unit_circle():
     V = orthogonal(np.random.default_rng(0), 3)
     A, B = V @ A @ V.T, V @ B
     A, G, H = riccati_triples(A, B, np.zeros((1, 3, 3)), np.ones((1, 1, 1)))
-    found = multipliers_of(closed_loop(A, G, solve_periodic_riccati(A, G, H)))
+    found = multipliers_of(defect_and_loop(A, G, H, solve_periodic_riccati(A, G, H))[1])
     assert np.allclose(found, [0.9, 0.5, 0.3], atol=1e-12)
 
 
@@ -112,7 +112,7 @@ def test_what_costs_nothing_stays_on_the_unit_circle(value):
     A, B, Q = np.diag([value, 0.5])[None], np.ones((1, 2, 1)), np.diag([0.0, 1.0])[None]
     V = orthogonal(np.random.default_rng(0), 2)
     A, G, H = riccati_triples(V @ A @ V.T, V @ B, V @ Q @ V.T, np.ones((1, 1, 1)))
-    found = multipliers_of(closed_loop(A, G, solve_periodic_riccati(A, G, H)))
+    found = multipliers_of(defect_and_loop(A, G, H, solve_periodic_riccati(A, G, H))[1])
     assert abs(found[0] - value) < 1e-8
 
 
@@ -120,7 +120,7 @@ def test_what_costs_nothing_stays_on_the_unit_circle(value):
 def test_lyapunov_equation(seed):
     A, B, Q, R, _ = random_problem(seed)
     A, G, H = riccati_triples(A, B, Q, R)
-    loop = closed_loop(A, G, solve_periodic_riccati(A, G, H))
+    loop = defect_and_loop(A, G, H, solve_periodic_riccati(A, G, H))[1]
     X = solve_periodic_lyapunov(loop, Q)
     defect = Q + loop.mT @ np.roll(X, -1, axis=0) @ loop - X
     assert np.max(np.abs(defect)) < 1e-12 * np.max(np.abs(X))

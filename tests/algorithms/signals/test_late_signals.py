@@ -4,7 +4,6 @@ import numpy as np
 
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.signals.resampling import (
-    advanced,
     arriving,
     held_means,
     lagged,
@@ -34,7 +33,7 @@ def test_advancing_takes_a_delay_back():
     samples = np.array([2.4, 7.0])
     there = late(SMOOTH, samples)
     np.testing.assert_allclose(there[8:, 0], np.sin(0.2 * (TIME[8:] - 2.4)), atol=1e-7)
-    np.testing.assert_allclose(advanced(there, samples)[10:-10], SMOOTH[10:-10], atol=1e-5)
+    np.testing.assert_allclose(late(there, -samples)[10:-10], SMOOTH[10:-10], atol=1e-5)
     assert late(SMOOTH, np.zeros(2)) is SMOOTH
 
 
