@@ -21,7 +21,7 @@ from sklearn_hd._guards import searches, warn
 from sklearn_hd._records.data import lifted_periods
 from sklearn_hd.algorithms.likelihood.likelihood import eliminate_states, updated_factor
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, HALF
-from sklearn_hd.algorithms.lti.structured_model import column_sizes
+from sklearn_hd.algorithms.linalg.triangular import column_sizes
 from sklearn_hd.algorithms.periodic.periodic_innovations import input_slopes
 from sklearn_hd.algorithms.signals.fourier import AT_ONCE, InputDirections, harmonic_functions
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning

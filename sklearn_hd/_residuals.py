@@ -17,12 +17,11 @@ from sklearn_hd.algorithms.likelihood.residual_tests import (
     lagged,
     past,
     score_test,
-    span_of,
-    times,
 )
-from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, OVERFLOW, PRECISION
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, OVERFLOW, PRECISION, RANK
+from sklearn_hd.algorithms.periodic.multipliers import orthonormal_range
 from sklearn_hd.algorithms.periodic.periodic_predictor import SENSOR_NOISE
-from sklearn_hd.algorithms.signals.fourier import MOST_ROWS, harmonic_functions
+from sklearn_hd.algorithms.signals.fourier import MOST_ROWS, harmonic_functions, times
 from sklearn_hd.exceptions import UnstableModelError
 
 ROWS_PER_PARAMETER = 4  # below which residuals are what parameters leave by chance
@@ -36,6 +35,7 @@ HARMONICS_BY_PHASE = (1, 2)
 MORE_LOADS = 12  # harmonics beyond those fitted
 ALARM = 1e-4  # of tests at fit, which nobody asked for
 MOST_PRODUCTS = 2e10  # of a test at fit: some seconds
+NEW = np.sqrt(RANK)  # in a direction of a span, of columns of length one
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +91,7 @@ class Remainder:
         """
         psi = np.concatenate([s.psi for s in self.segments])
         highest = int(self.samples_per_period) // 2 if self.trim else max(self.n_loads, 0)
-        turn = span_of(harmonic_functions(psi, range(highest + 1)))
+        turn = orthonormal_range(harmonic_functions(psi, range(highest + 1)), rank=NEW)
         e = np.vstack([s.residuals for s in self.segments])
         y = e + np.vstack([s.predicted for s in self.segments])
         motion = np.sum((y - turn @ (turn.T @ y)) ** 2, axis=0)
@@ -287,7 +287,8 @@ def _powers(segments, n_loads):
     machine adds to its linear model is first the square of that, times functions of the azimuth.
     """
     signals = np.vstack([np.hstack([s.predicted, s.inputs]) for s in segments])
-    turn = span_of(np.vstack([harmonic_functions(s.psi, range(n_loads + 1)) for s in segments]))
+    turn = np.vstack([harmonic_functions(s.psi, range(n_loads + 1)) for s in segments])
+    turn = orthonormal_range(turn, rank=NEW)
     signals = signals - turn @ (turn.T @ signals)
     size = signals.std(axis=0)
     signals = signals / np.where(size > 0.0, size, 1.0)
@@ -324,7 +325,8 @@ def _prepared(left, own, W, Phi):
             parts = np.concatenate([parts, waveform], axis=-1)
         columns.append(filtered(parts, Phi))
     residuals = np.vstack([filtered(e[..., None], Phi)[..., 0] for e in own])
-    return residuals, span_of(np.concatenate(columns).reshape(residuals.size, -1))
+    columns = np.concatenate(columns).reshape(residuals.size, -1)
+    return residuals, orthonormal_range(columns, rank=NEW)
 
 
 def left_of(step, X, y):

@@ -26,7 +26,7 @@ from scipy import fft, linalg, sparse
 from sklearn_hd._match import PeriodicModel
 from sklearn_hd._records.data import lifted_periods
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EXACT, UNKNOWN
-from sklearn_hd.algorithms.lti.structured_model import column_sizes
+from sklearn_hd.algorithms.linalg.triangular import column_sizes
 from sklearn_hd.algorithms.periodic.combined_periods import (
     CombinedPeriods,
     NestedLeastSquares,

@@ -21,7 +21,8 @@ from scipy import linalg
 
 from sklearn_hd.algorithms.likelihood.forms import Fractions
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EXACT, PRECISION
-from sklearn_hd.algorithms.signals.fourier import harmonic_functions
+from sklearn_hd.algorithms.linalg.triangular import column_sizes
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions, times
 from sklearn_hd.algorithms.signals.resampling import first_lag
 
 MOST_CELLS = 60  # that a search goes through
@@ -258,13 +259,10 @@ def _columns(u, y, psi, n_own, last, n_harmonics):
     """Own past and the mean, each input's lags from the last to 0, and the output."""
     rows = np.arange(max(n_own, last), len(y))
     functions = harmonic_functions(psi[rows], range(n_harmonics + 1))
-
-    def by_azimuth(signals):
-        return (signals[:, :, None] * functions[:, None]).reshape(len(rows), -1)
-
     own = np.column_stack([y[rows - s] for s in range(1, n_own + 1)])
-    inputs = [by_azimuth(np.column_stack([v[rows - s] for s in range(last, -1, -1)])) for v in u.T]
-    return np.hstack([by_azimuth(own), functions]), np.hstack(inputs), y[rows][:, None]
+    late = (np.column_stack([v[rows - s] for s in range(last, -1, -1)]) for v in u.T)
+    inputs = np.hstack([times(each, functions) for each in late])
+    return np.hstack([times(own, functions), functions]), inputs, y[rows][:, None]
 
 
 def _first_answer(own, inputs, target, i, q, last):
@@ -273,8 +271,7 @@ def _first_answer(own, inputs, target, i, q, last):
     mine = slice(i * width, (i + 1) * width)
     others = np.delete(inputs, np.arange(mine.start, mine.stop), axis=1)
     X = np.hstack([own, others, inputs[:, mine]])
-    size = linalg.norm(X, axis=0)
-    X = X / np.where(size > 0.0, size, 1.0)
+    X = X / column_sizes(X)
     first, n_rows = X.shape[1] - width, len(X)
     Q, R, kept = np.zeros((n_rows, 0)), target.astype(float), 0
     total = float(np.sum((target - target.mean()) ** 2))

@@ -45,7 +45,7 @@ from sklearn_hd.algorithms.likelihood.search import (
     search,
 )
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, EXACT, HALF
-from sklearn_hd.algorithms.lti.structured_model import column_sizes
+from sklearn_hd.algorithms.linalg.triangular import column_sizes
 from sklearn_hd.algorithms.periodic.harmonic_balance import (
     product,
     resize_harmonics,

@@ -34,7 +34,7 @@ from sklearn_hd.algorithms.likelihood.predictor import (
     residuals,
 )
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, HALF, UNKNOWN
-from sklearn_hd.algorithms.lti.structured_model import column_sizes
+from sklearn_hd.algorithms.linalg.triangular import column_sizes
 from sklearn_hd.algorithms.matching.least_squares import BoundedSteps, FreeSteps
 
 ROUNDING = 64.0 * EPS  # of an output, what simulation leaves of exactness

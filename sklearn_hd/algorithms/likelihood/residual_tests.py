@@ -19,7 +19,7 @@ from itertools import pairwise
 import numpy as np
 from scipy import linalg, stats
 
-from sklearn_hd.algorithms.linalg.rounding import RANK
+from sklearn_hd.algorithms.linalg.triangular import column_sizes
 
 TOLD = 1e-3  # share of a regressor beside the span: of less, errors of second order make more
 
@@ -31,21 +31,6 @@ class Score:
     statistic: float
     degrees: int
     p_value: float
-
-
-def span_of(columns):
-    """A basis of some columns, of full rank, shape (n_rows, rank).
-
-    Orthonormal to the rounding of the Gram matrix over its least eigenvalue: 3e-7 on records of
-    the flapping wing, where a second pass changes no statistic by more than 4e-9 of it.
-    """
-    size = np.linalg.norm(columns, axis=0)
-    columns = columns[:, size > 0.0] / size[size > 0.0]
-    if columns.shape[1] == 0:
-        return columns
-    values, vectors = linalg.eigh(columns.T @ columns)
-    kept = values > RANK * values[-1]
-    return columns @ (vectors[:, kept] / np.sqrt(values[kept]))
 
 
 def score_test(residuals, regressors, span):
@@ -75,8 +60,7 @@ def score_test(residuals, regressors, span):
     True
     """
     Z = regressors.reshape(residuals.size, -1)
-    size = np.linalg.norm(Z, axis=0)
-    Z = Z[:, size > 0.0] / size[size > 0.0]
+    Z = Z / column_sizes(Z)
     Z = Z - span @ (span.T @ Z)
     e = residuals.ravel() - span @ (span.T @ residuals.ravel())
     g = (Z * e[:, None]).reshape(*residuals.shape, -1).sum(axis=1)
@@ -118,11 +102,6 @@ def past(signal, edges):
     sums = np.vstack([np.zeros((before, signal.shape[1])), np.cumsum(signal, axis=0)])
     rows = before + np.arange(len(signal))
     return np.hstack([sums[rows - a] - sums[rows - b] for a, b in pairwise(edges)])
-
-
-def times(regressors, functions):
-    """Every regressor times every function, shape (n_samples, n_regressors * n_functions)."""
-    return np.einsum("ti,tj->tij", regressors, functions).reshape(len(regressors), -1)
 
 
 def autoregression(segments, most):

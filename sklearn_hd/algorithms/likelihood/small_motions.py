@@ -50,6 +50,7 @@ from sklearn_hd.algorithms.signals.fourier import (
     harmonic_functions,
     mean_square,
     sampled_harmonics,
+    times,
 )
 
 LEAST_TAKEN_UP = 0.5  # of the variance that a simulation leaves: its rows are not independent
@@ -459,8 +460,7 @@ def _told_as_factors(motion, degrees, n_loads):
     moved = []
     for z, psi in motion:
         about = z - evaluate_harmonics(products.centre, psi)
-        turned = harmonic_functions(psi, range(n_loads + 1))[:, :, None] * about[:, None]
-        moved.append(turned.reshape(len(z), -1))
+        moved.append(times(harmonic_functions(psi, range(n_loads + 1)), about))
     beside = products.beside([(z[:, :0], None, psi) for z, psi in motion], motion)
     q, moved = np.vstack([own for own, *_ in beside]), np.vstack(moved)
     left = q - moved @ linalg.lstsq(moved, q)[0]

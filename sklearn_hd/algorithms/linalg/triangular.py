@@ -96,6 +96,12 @@ def all_above(R, share):
         return bool(share * np.linalg.norm(R) * np.linalg.norm(inverse) < 0.5)
 
 
+def column_sizes(matrix):
+    """Euclidean length of each column, 1 for a column of zeros."""
+    sizes = np.linalg.norm(matrix, axis=0)
+    return np.where(sizes > 0, sizes, 1.0)
+
+
 def svd_within_rank(matrix, rank=DEPENDENT, largest=None):
     """Singular vectors and values U, s, Vᵀ of a matrix, but for those that are rounding.
 
@@ -136,6 +142,5 @@ def solve_within_rank(X, Y, size=None, cond=DEPENDENT):
     """
     if 0 in (X.shape[1], *Y.shape[1:]):
         return np.zeros((X.shape[1], *Y.shape[1:]))
-    size = np.linalg.norm(X, axis=0) if size is None else size
-    size = np.where(size > 0.0, size, 1.0)
+    size = column_sizes(X) if size is None else np.where(size > 0.0, size, 1.0)
     return linalg.lstsq(X / size, Y, cond=cond)[0] / size.reshape(-1, *(1,) * (Y.ndim - 1))

@@ -197,12 +197,6 @@ def _response(matrices, right):
     return seen.reshape(len(C), *shape).swapaxes(0, 1) + D
 
 
-def column_sizes(matrix):
-    """Euclidean length of each column, 1 for a column of zeros."""
-    sizes = np.linalg.norm(matrix, axis=0)
-    return np.where(sizes > 0, sizes, 1.0)
-
-
 class TriangularForm:
     """(sI − A)⁻¹ B and C (sI − A)⁻¹ at many points.
 

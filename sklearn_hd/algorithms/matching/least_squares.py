@@ -27,8 +27,7 @@ import numpy as np
 from scipy import linalg, optimize
 
 from sklearn_hd.algorithms.linalg.rounding import EPS
-from sklearn_hd.algorithms.linalg.triangular import solve_within_rank, triangle
-from sklearn_hd.algorithms.lti.structured_model import column_sizes
+from sklearn_hd.algorithms.linalg.triangular import column_sizes, solve_within_rank, triangle
 from sklearn_hd.exceptions import UnstableModelError
 
 TOLERANCE = 1e-8  # relative decrease of the sum of squares that counts as none

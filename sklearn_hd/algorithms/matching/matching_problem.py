@@ -15,9 +15,9 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.linalg.rounding import EXACT, RANK, UNKNOWN
-from sklearn_hd.algorithms.linalg.triangular import triangle
+from sklearn_hd.algorithms.linalg.triangular import column_sizes, triangle
 from sklearn_hd.algorithms.lti.hinf import hinf_norm, refine_peaks
-from sklearn_hd.algorithms.lti.structured_model import AffineStructure, column_sizes
+from sklearn_hd.algorithms.lti.structured_model import AffineStructure
 from sklearn_hd.exceptions import UnstableModelError
 
 _POINTS_PER_SWEEP = 70  # of the logarithmic grid

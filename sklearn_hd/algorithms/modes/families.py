@@ -29,7 +29,12 @@ from scipy import linalg
 from scipy.signal import lfilter
 
 from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF
-from sklearn_hd.algorithms.linalg.triangular import solve_within_rank, svd_within_rank, triangle
+from sklearn_hd.algorithms.linalg.triangular import (
+    column_sizes,
+    solve_within_rank,
+    svd_within_rank,
+    triangle,
+)
 
 FAINT = 1e-6  # what is left at a window's end of a mode that rounding still tells from its memory
 COPY_TOLERANCES = (1e-3, 3e-3, 1e-2, 3e-2)  # of its decay, by which a family's members differ
@@ -324,8 +329,7 @@ def _residuals_with(R, columns, kept, candidates):
     What is kept is projected out once; each candidate is then a small problem of its own,
     some thirty times faster than a least-squares fit with all of them.
     """
-    target, size = R[:, -1], np.linalg.norm(R[:, :-1], axis=0)
-    scaled = R[:, :-1] / np.where(size > 0.0, size, 1.0)
+    target, scaled = R[:, -1], R[:, :-1] / column_sizes(R[:, :-1])
     if kept:
         Q = svd_within_rank(scaled[:, np.concatenate([columns[i] for i in kept])], EXACT)[0]
         for _ in range(2):

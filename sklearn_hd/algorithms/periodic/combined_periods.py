@@ -16,9 +16,8 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, EXACT, TINY
-from sklearn_hd.algorithms.linalg.triangular import svd_within_rank
+from sklearn_hd.algorithms.linalg.triangular import column_sizes, svd_within_rank
 from sklearn_hd.algorithms.lti.simulation import propagate
-from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.periodic.multipliers import orthonormal_range
 
 LEAST_SQUARE = 1e-28  # of the sum of squares: what rounding leaves

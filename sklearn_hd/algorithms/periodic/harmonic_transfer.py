@@ -19,7 +19,7 @@ import slycot
 from scipy import signal
 
 from sklearn_hd.algorithms.linalg.rounding import RANK
-from sklearn_hd.algorithms.lti.structured_model import column_sizes
+from sklearn_hd.algorithms.linalg.triangular import column_sizes
 from sklearn_hd.algorithms.periodic.harmonic_decomposition import (
     complex_spectrum,
     harmonic_decomposition,

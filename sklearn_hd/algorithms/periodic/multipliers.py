@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EXACT, PRECISION, TINY
-from sklearn_hd.algorithms.lti.structured_model import column_sizes
+from sklearn_hd.algorithms.linalg.triangular import column_sizes
 
 LASTING = 1e-3  # of a motion, left after a period: what is less is not judged
 LEAST_RATE = 0.02  # e-folds a period: smaller rates are judged as if they were as large

@@ -25,16 +25,15 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, EXACT
-from sklearn_hd.algorithms.linalg.triangular import solve_within_rank, svd_within_rank
+from sklearn_hd.algorithms.linalg.triangular import column_sizes, solve_within_rank, svd_within_rank
 from sklearn_hd.algorithms.lti.simulation import propagate, real_logarithm
-from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.periodic.multipliers import (
     Modes,
     compact,
     orthonormal_range,
     polynomials,
 )
-from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics, times
 
 SHAPE_CONDITION = 1e4  # of P(ψ), beyond which outputs do not determine the state
 TAIL = 1e-2  # harmonics of F this small, in parts of the noise, are left out
@@ -277,8 +276,13 @@ def fit_shapes(sights, information, residual, R, flips, period, n_rows):
     return FloquetShapes(R, flips, coefficients, chosen, noise)
 
 
-def shapes_determine_state(P):
-    """Whether P(ψ), (n_phases, n, n), can be inverted at every phase, rows and columns scaled."""
+def outputs_are_states(P, flips):
+    """Whether P(ψ) can be, also between the samples: its determinant does not pass through zero.
+
+    Of P(ψ), (n_phases, n, n), with rows and columns scaled.
+    """
+    if np.sum(flips) % 2:
+        return False
     scaled = P / np.max(np.abs(P)) if P.any() else P
     for _ in range(20):
         rows = np.linalg.norm(scaled, axis=(0, 2))[:, None]
@@ -287,12 +291,7 @@ def shapes_determine_state(P):
             return False
         scaled = scaled / rows
         scaled = scaled / np.linalg.norm(scaled, axis=(0, 1))
-    return bool(np.max(np.linalg.cond(scaled)) <= SHAPE_CONDITION)
-
-
-def outputs_are_states(P, flips):
-    """Whether P(ψ) can be, also between the samples: its determinant does not pass through zero."""
-    if np.sum(flips) % 2 or not shapes_determine_state(P):
+    if not np.max(np.linalg.cond(scaled)) <= SHAPE_CONDITION:
         return False
     return len(np.unique(np.sign(np.linalg.det(P)))) == 1
 
@@ -345,12 +344,8 @@ def equation_error(segments, period, n_phases, n_harmonics, instruments):
 
 def _integrals(functions, x, u, m):
     """Of harmonics times states and held inputs, over m samples, in samples."""
-
-    def products(values, functions):
-        return (functions[:, :, None] * values[:, None, :]).reshape(len(values), -1)
-
-    ends = products(x, functions)
-    held = products(u[:-1], functions[:-1]) + products(u[:-1], functions[1:])
+    ends = times(functions, x)
+    held = times(functions[:-1], u[:-1]) + times(functions[1:], u[:-1])
     rates = 0.5 * np.hstack([ends[1:] + ends[:-1], held])
     sums = np.vstack([np.zeros(rates.shape[1]), np.cumsum(rates, axis=0)])
     return sums[m:] - sums[:-m]

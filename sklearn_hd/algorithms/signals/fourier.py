@@ -72,6 +72,11 @@ def harmonic_functions(psi, harmonics):
     return np.stack(columns, axis=-1) if columns else np.empty((*psi.shape, 0))
 
 
+def times(regressors, functions):
+    """Every regressor times every function, shape (n_samples, n_regressors * n_functions)."""
+    return np.einsum("ti,tj->tij", regressors, functions).reshape(len(regressors), -1)
+
+
 def seconds_from_zero_phase(time, omega):
     """Seconds to an instant from the nearest at which ψ = ωt is a whole number of turns.
 

@@ -6,9 +6,9 @@ from sklearn_hd.algorithms.likelihood.residual_tests import (
     filtered,
     lagged,
     score_test,
-    span_of,
-    times,
 )
+from sklearn_hd.algorithms.periodic.multipliers import orthonormal_range
+from sklearn_hd.algorithms.signals.fourier import times
 
 NOTHING = np.zeros((400, 0))
 
@@ -23,7 +23,7 @@ def test_one_regressor_and_no_parameter_is_a_closed_form():
 def test_what_parameters_take_away_is_not_asked():
     rng = np.random.default_rng(1)
     e, Z = rng.standard_normal((200, 2)), rng.standard_normal((200, 2, 3))
-    span = span_of(Z.reshape(400, 3))
+    span = orthonormal_range(Z.reshape(400, 3))
     found = score_test(e + Z @ [1.0, 2.0, 3.0], Z, span)
     assert (found.statistic, found.degrees, found.p_value) == (0.0, 0, 1.0)
 
@@ -32,7 +32,9 @@ def test_a_multiple_of_the_sensitivities_changes_nothing():
     """What C(α) is for: an error of the parameters, to first order."""
     rng = np.random.default_rng(2)
     e, Z, S = (rng.standard_normal((400, *shape)) for shape in ((1,), (1, 4), (5,)))
-    right, wrong = (score_test(e + S @ off, Z, span_of(S)) for off in (np.zeros((5, 1)), S[:5, :1]))
+    right, wrong = (
+        score_test(e + S @ off, Z, orthonormal_range(S)) for off in (np.zeros((5, 1)), S[:5, :1])
+    )
     assert np.isclose(right.statistic, wrong.statistic)
 
 
@@ -46,7 +48,7 @@ def test_the_coordinates_of_regressors_do_not_matter():
 
 def test_span_leaves_out_what_depends_and_rests():
     columns = np.random.default_rng(4).standard_normal((50, 3))
-    span = span_of(np.hstack([columns, 1e6 * columns[:, :1], np.zeros((50, 1))]))
+    span = orthonormal_range(np.hstack([columns, 1e6 * columns[:, :1], np.zeros((50, 1))]))
     assert span.shape == (50, 3)
     assert np.allclose(span.T @ span, np.eye(3), atol=1e-12)
 
