@@ -37,6 +37,7 @@ from sklearn_hd.algorithms.periodic.periodic_structure import (
     PeriodicStructure,
     SampledResponse,
     held_pushes,
+    radius_of,
     sampled_response,
 )
 from sklearn_hd.algorithms.signals.fourier import InputDirections
@@ -186,7 +187,8 @@ class InputProblem:
         n_samples = max(map(len, self.experiment.outputs))
         if self.starts is not None:  # each period from its own
             n_samples = spp
-        growth = n_samples / len(response.Phi) * np.log(max(response.spectral_radius, 1e-300))
+        radius = radius_of(response.monodromy)
+        growth = n_samples / len(response.Phi) * np.log(max(radius, 1e-300))
         if not growth <= MAX_GROWTH:
             raise GrowthError(
                 f"F(ψ) of the states {list(self.names[0])} with the allowed harmonics makes a "

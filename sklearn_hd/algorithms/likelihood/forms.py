@@ -32,6 +32,7 @@ import numpy as np
 from sklearn_hd.algorithms.linalg.rounding import EXACT
 from sklearn_hd.algorithms.periodic.floquet import product_of
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
+from sklearn_hd.algorithms.periodic.harmonic_decomposition import derivative_matrix
 from sklearn_hd.algorithms.periodic.periodic_realization import tail_begins
 from sklearn_hd.algorithms.periodic.periodic_structure import (
     MAX_SUBSTEPS,
@@ -256,10 +257,7 @@ class _Way:
 
 def _by_azimuth(coefficients):
     """Fourier coefficients of the derivative by ψ."""
-    found = np.zeros_like(coefficients)
-    orders = np.arange(1, len(coefficients) // 2 + 1).reshape(-1, *[1] * (coefficients.ndim - 1))
-    found[1::2], found[2::2] = orders * coefficients[2::2], -orders * coefficients[1::2]
-    return found
+    return np.tensordot(derivative_matrix(len(coefficients) // 2, 1, 1.0), coefficients, 1)
 
 
 @dataclass(frozen=True, eq=False)

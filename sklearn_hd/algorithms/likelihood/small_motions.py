@@ -256,10 +256,7 @@ class LargeMotions:
     def small_motions(self, rest):
         """The linear part, about the orbit of a machine at rest if the motion reaches it.
 
-        Parameters
-        ----------
-        rest : ndarray, shape (2 L + 1, m)
-            Inputs of a machine at rest, as Fourier coefficients.
+        Arguments as for :meth:`of_other_degrees`.
 
         Returns
         -------

@@ -31,8 +31,24 @@ from sklearn_hd.algorithms.linalg.triangular import solve_within_rank
 from sklearn_hd.algorithms.signals.fourier import AT_ONCE
 
 
+class Sizes:
+    """Numbers of parameters, inputs and outputs of a structure [A B; C D]."""
+
+    @property
+    def n_parameters(self):
+        return len(self.parameter_names)
+
+    @property
+    def n_inputs(self):
+        return self.constant.shape[-1] - self.n_states
+
+    @property
+    def n_outputs(self):
+        return self.constant.shape[-2] - self.n_states
+
+
 @dataclass(frozen=True, eq=False)
-class AffineStructure:
+class AffineStructure(Sizes):
     """State-space model with entries affine in its parameters.
 
     Parameters
@@ -65,18 +81,6 @@ class AffineStructure:
         """A model without parameters."""
         stacked = np.block([[A, B], [C, D]])
         return cls(stacked, np.zeros((0, *stacked.shape)), len(A), ())
-
-    @property
-    def n_parameters(self):
-        return len(self.basis)
-
-    @property
-    def n_inputs(self):
-        return self.constant.shape[1] - self.n_states
-
-    @property
-    def n_outputs(self):
-        return self.constant.shape[0] - self.n_states
 
     def matrices(self, theta):
         """(A, B, C, D) at the parameters θ, shape (k,)."""

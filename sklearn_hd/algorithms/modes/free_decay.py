@@ -364,7 +364,7 @@ def _agreed(found, decays):
     kept = off <= AGREED * rates
     share = np.full(len(logs), AGREED)
     share[nearest[kept]] = ALIKE
-    products = _products_of_slower(most, share)
+    products = _products(most, share, SURE, of_slower=True)
     worse = np.sum(most.deviations[nearest[kept]]) > np.sum(found.deviations[kept])
     worse |= np.any(_known(found) & ~kept)
     if worse or np.sum(~products) < np.sum(~(kept & products[nearest])):
@@ -384,14 +384,6 @@ def _of_more_states(found, decays):
         if fit is not None and np.sum(left_by(fit.Phi, ones, stacked) ** 2) <= most_left:
             fits.append(free_decay(decays, order))
     return fits
-
-
-def _products_of_slower(found, share):
-    """Which modes are products of slower ones, within shares of their rates or their deviations."""
-    logs = logarithms(found.multipliers)
-    within = np.maximum(share * np.abs(logs.real), found.spread(SURE))
-    each = enumerate(zip(logs[:, None].real < logs.real, within, strict=True))
-    return np.array([is_product(logs[[i]], logs[slower], some)[0] for i, (slower, some) in each])
 
 
 def _alike(fit, more):
@@ -417,12 +409,13 @@ def logarithms(multipliers):
     return np.log(np.where(multipliers == 0.0, TINY, multipliers).astype(complex))
 
 
-def _products(found, share, n_deviations=0.0):
+def _products(found, share, n_deviations=0.0, of_slower=False):
     """Which modes are products of others, within a share of their rate or some deviations."""
     logs = logarithms(found.multipliers)
     within = np.maximum(share * np.abs(logs.real), found.spread(n_deviations))
-    each = enumerate(zip(logs, within, strict=True))
-    return np.array([is_product(own, np.delete(logs, i), some)[0] for i, (own, some) in each])
+    others = logs[:, None].real < logs.real if of_slower else ~np.eye(len(logs), dtype=bool)
+    each = zip(logs, others, within, strict=True)
+    return np.array([is_product(own, logs[some], off)[0] for own, some, off in each])
 
 
 def _without(found, dropped):

@@ -20,7 +20,7 @@ from scipy import linalg, optimize
 
 from sklearn_hd.algorithms.linalg.rounding import EPS, EXACT, HALF
 from sklearn_hd.algorithms.lti.simulation import discrete_to_continuous
-from sklearn_hd.algorithms.periodic.floquet import separated_factors, steps_between
+from sklearn_hd.algorithms.periodic.floquet import scaled_product, separated_factors, steps_between
 from sklearn_hd.algorithms.periodic.floquet_coordinates import FloquetForm, floquet_coordinates
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, trimmed_harmonics
 from sklearn_hd.algorithms.periodic.periodic_realization import (
@@ -183,11 +183,7 @@ class Turn:
 def turn_of(innovations, omega):
     """The Turn of a discrete periodic model: its Floquet form.
 
-    Parameters
-    ----------
-    innovations : PeriodicInnovations
-    omega : float
-        rad/s.
+    Arguments as for :func:`behind_samples`.
 
     Raises
     ------
@@ -246,11 +242,7 @@ def floquet_states(A, period):
 
 def _group(bases, factors, period):
     """X, R and flips of modes of like size."""
-    q, product, logarithm = len(factors), np.eye(factors.shape[1]), 0.0
-    for factor in factors:
-        product = factor @ product
-        scale = np.max(np.abs(product))
-        product, logarithm = product / scale, logarithm + np.log(scale)
+    q, (product, logarithm) = len(factors), scaled_product(factors)
     R, shape, flips = floquet_logarithm(product, period)
     R = R + logarithm / period * np.eye(len(R))
     back, X = linalg.expm(-R * period / q), np.empty(bases.shape)

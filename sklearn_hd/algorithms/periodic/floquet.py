@@ -325,6 +325,18 @@ def product_of(Phi):
     return product
 
 
+def scaled_product(Phi):
+    """The same with one for its largest entry, and the logarithm of what it was divided by."""
+    product, logarithm = np.eye(Phi.shape[1]), 0.0
+    for factor in Phi:
+        product = factor @ product
+        size = np.max(np.abs(product))
+        if size == 0.0:
+            return product, -np.inf
+        product, logarithm = product / size, logarithm + np.log(size)
+    return product, logarithm
+
+
 def _from_rest(steps, v):
     """State at the end of each period, from rest at its start."""
     x = np.zeros((v.shape[1] * v.shape[2], v.shape[3]))
@@ -477,12 +489,8 @@ def _blocks(closing, tolerance):
 
 def _block_logarithms(closing, triangles, block):
     """Logarithms of the eigenvalues of one diagonal block, scaled factor by factor."""
-    product, scale = np.eye(block.stop - block.start), 0.0
-    for factor in triangles[:, block, block]:
-        product = factor @ product
-        size = np.max(np.abs(product))
-        if size == 0.0:  # modes that a factor ends
-            return np.full(len(product), -np.inf, dtype=complex)
-        product, scale = product / size, scale + np.log(size)
+    product, scale = scaled_product(triangles[:, block, block])
+    if scale == -np.inf:  # modes that a factor ends
+        return np.full(len(product), -np.inf, dtype=complex)
     with np.errstate(divide="ignore"):  # what rounding has cancelled parts in a later sweep
         return np.log(linalg.eigvals(closing[block, block] @ product).astype(complex)) + scale

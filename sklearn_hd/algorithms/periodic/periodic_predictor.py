@@ -413,14 +413,9 @@ class StateSums:
     def _solved(self, chosen, products):
         """Least squares on some regressors."""
         gram = self.gram[np.ix_(chosen, chosen)]
-        size = np.sqrt(np.diag(gram))
+        size = np.sqrt(np.diag(gram))[:, None]
         size[size == 0.0] = 1.0
-        scaled = gram / size / size[:, None]
-        values, vectors = linalg.eigh(scaled)
-        kept = values > EXACT * values[-1]
-        along = vectors.T @ (products[chosen] / size[:, None])
-        along = np.where(kept[:, None], along, 0.0) / np.where(kept, values, 1.0)[:, None]
-        return vectors @ along / size[:, None]
+        return linalg.lstsq(gram / size / size.T, products[chosen] / size, cond=EXACT)[0] / size
 
 
 def _regressor_kinds(counts, n_harmonics, n_loads):

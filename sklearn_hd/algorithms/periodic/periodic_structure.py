@@ -24,6 +24,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from sklearn_hd.algorithms.linalg.rounding import EXACT
+from sklearn_hd.algorithms.lti.structured_model import Sizes
 from sklearn_hd.algorithms.periodic.floquet import (
     N_STAGES,
     collocation,
@@ -39,7 +40,7 @@ MAX_SUBSTEPS = 256  # within one sample; whatever moves faster was not seen by t
 
 
 @dataclass(frozen=True, eq=False)
-class PeriodicStructure:
+class PeriodicStructure(Sizes):
     """Periodic system with Fourier coefficients affine in its parameters.
 
     Parameters
@@ -112,18 +113,6 @@ class PeriodicStructure:
             label = "" if len(free) == 1 else f"_{labels[h]}"
             names.append(f"{'ABCD'[2 * (i >= n) + (j >= n)]}[{row},{column}]{label}")
         return cls(np.zeros(shape), basis, n, tuple(names))
-
-    @property
-    def n_parameters(self):
-        return len(self.parameter_names)
-
-    @property
-    def n_inputs(self):
-        return self.constant.shape[2] - self.n_states
-
-    @property
-    def n_outputs(self):
-        return self.constant.shape[1] - self.n_states
 
     @property
     def n_harmonics(self):
@@ -224,11 +213,6 @@ class SampledResponse:
         """Transition matrix over the p intervals: one period, or one sample if p is 1."""
         with np.errstate(over="ignore", invalid="ignore"):
             return product_of(self.Phi)
-
-    @cached_property
-    def spectral_radius(self):
-        """Size of the largest multiplier of the monodromy matrix; infinite if it overflows."""
-        return radius_of(self.monodromy)
 
 
 def radius_of(monodromy):

@@ -28,6 +28,7 @@ from scipy import linalg
 
 from sklearn_hd.algorithms.linalg.rounding import EXACT
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
+from sklearn_hd.algorithms.periodic.harmonic_decomposition import derivative_matrix
 from sklearn_hd.algorithms.periodic.periodic_predictor import (
     LagSums,
     Layout,
@@ -357,11 +358,10 @@ def _waveform_slopes(segments, omega, n_harmonics):
         np.vstack([y for _, y, _ in segments]),
         omega * np.concatenate([t for *_, t in segments]),
     )
-    X, k = harmonic_functions(psi, range(n_harmonics + 1)), np.arange(1, n_harmonics + 1)
+    X = harmonic_functions(psi, range(n_harmonics + 1))
     Q, R = linalg.qr(X, mode="economic")
     waveform = linalg.lstsq(R, Q.T @ y)[0]
-    turned = np.zeros_like(waveform)
-    turned[1::2], turned[2::2] = k[:, None] * waveform[2::2], -k[:, None] * waveform[1::2]
+    turned = derivative_matrix(n_harmonics, 1, 1.0) @ waveform
     slopes = (X @ turned) * (psi - psi.mean())[:, None]
     return slopes - Q @ (Q.T @ slopes), y - X @ waveform, y
 

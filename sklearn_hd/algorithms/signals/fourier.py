@@ -26,6 +26,7 @@ from fractions import Fraction
 
 import numpy as np
 from scipy import linalg
+from scipy.signal import get_window
 
 from sklearn_hd.algorithms.linalg.rounding import HALF, PRECISION, UNKNOWN
 
@@ -277,13 +278,9 @@ def window_weights(window, samples_per_period):
         Oldest sample first.
     """
     n = int(samples_per_period)
-    if window == "boxcar":
-        return np.full(n, 1.0 / n)
-    if window == "triangle":
-        box = np.full(n, 1.0 / n)
-        return np.convolve(box, box)
-    phase = 2.0 * np.pi * np.arange(2 * n) / (2 * n)
-    return (1.0 - np.cos(phase)) / (2 * n)
+    shapes = {"boxcar": ("boxcar", n), "triangle": ("triang", 2 * n - 1), "hann": ("hann", 2 * n)}
+    weights = get_window(*shapes[window], fftbins=window == "hann")
+    return weights / weights.sum()
 
 
 def windowed_coefficients(signal, psi, harmonics, weights, rows):

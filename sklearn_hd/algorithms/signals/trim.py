@@ -165,17 +165,15 @@ def turns_at_rest(inputs):
 
     Of inputs (n_turns_s, samples_per_turn, m), a bool for each turn.
     """
-    stacked = np.concatenate(inputs)
-    if not len(stacked):
+    if not sum(map(len, inputs)):
         return [np.zeros(0, dtype=bool) for _ in inputs]
-    largest = np.max(np.abs(stacked), axis=(0, 1))
-    steps = []
+    moves, psi = [], []
     for u in inputs:
-        d = np.diff(u, axis=0) if len(u) > 1 else np.zeros_like(u)
-        steps.append(np.concatenate([d[:1], d]) if len(u) > 1 else d)
-    moved = np.concatenate(steps) / np.where(largest > 0.0, largest, 1.0)
-    whole = np.sum(moved**2, axis=(0, 1))
-    energy = np.sum(moved**2, axis=1) @ np.where(whole > 0.0, 1.0 / np.maximum(whole, 1e-300), 0.0)
+        n, q, m = u.shape
+        before = np.minimum(np.abs(np.arange(n) - 1), n - 1)  # of the first turn the one after it
+        moves.append((u - u[before]).reshape(n * q, m))
+        psi.append(TURN * np.arange(n * q) / q)
+    energy = np.concatenate(energy_by_turn(moves, psi)[0])
     still = rests(energy) | (energy <= QUIET * np.mean(energy))
     return np.split(still, np.cumsum([len(u) for u in inputs])[:-1])
 
