@@ -25,10 +25,6 @@ from sklearn_hd.algorithms.linalg.triangular import column_sizes
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions, times
 from sklearn_hd.algorithms.signals.resampling import first_lag
 
-MOST_CELLS = 60  # that a search goes through
-FIRST_PLACES = 16  # of a delay, at which a scan begins
-MOST_SWEEPS = 2  # through all delays
-MOST_STARTS = 5  # of searches
 SHALLOW = 0.03  # of the range of costs, by which what is tried may be above the least
 LAGS_BEHIND = 4  # of an input, after the largest delay tried
 ROWS_PER_COLUMN = 4  # at least, of the regression
@@ -129,9 +125,9 @@ def scanned(samples, free, most, cost):
     def least_of(pairs):
         return min(pairs, key=lambda pair: pair[0])
 
-    least, step = at(0, best[0])[0], max(1, most // FIRST_PLACES)
+    least, step = at(0, best[0])[0], max(1, most // 16)  # 16 places for a start
     places = np.arange(0, most + 1, step)
-    for _ in range(MOST_SWEEPS):
+    for _ in range(2):  # through all delays
         before = least
         for place in free:
             least, best = least_of([(least, best), *(at(place, value) for value in places)])
@@ -152,7 +148,7 @@ def scanned(samples, free, most, cost):
         ends = np.isin(places, places[shallow][[0, -1]]) if shallow.any() else shallow
         some = np.flatnonzero(shallow & (lower | ends))
         minima += [profile[k] for k in some if abs(places[k] - best[place]) > step]
-    return [pair[1] for pair in sorted(minima, key=lambda pair: pair[0])[:MOST_STARTS]]
+    return [pair[1] for pair in sorted(minima, key=lambda pair: pair[0])[:5]]  # starts
 
 
 def through_cells(cells, fit):
@@ -169,7 +165,7 @@ def through_cells(cells, fit):
         (None at first), and gives that fit, cells at its values, and its cost a value.
     """
     seen, ahead, best = set(), [cells], (None, cells, np.inf)
-    while ahead and len(seen) < MOST_CELLS:
+    while ahead and len(seen) < 60:  # cells: a search goes through no more
         cells = ahead.pop(0)
         if tuple(cells.lags) in seen:
             continue

@@ -52,7 +52,6 @@ from sklearn_hd.algorithms.periodic.harmonic_balance import (
 )
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 
-MOST_TURNS = 50  # of S and inputs in turn
 SETTLED = 1e-11  # fall of the cost, a row, that another turn is worth
 POOR = 0.25  # of the fall expected: what earlier steps told of the curvature no longer holds
 WARM = 5  # steps that a start is given before it is judged
@@ -394,7 +393,7 @@ def _with_best_inputs(problem, theta, x0, spread, count):
     products = np.einsum("atj,bti->jiab", columns, columns, optimize=True)
     pushes, still = np.einsum("ati,tj->ija", columns, left), left.T @ left
     step, cost = np.zeros(len(basis)), np.inf
-    for _ in range(MOST_TURNS):
+    for _ in range(50):  # of S and inputs in turn
         weights = np.linalg.inv(spread)
         trial = -np.linalg.solve(
             np.tensordot(weights, products, 2), np.tensordot(weights, pushes, 2)

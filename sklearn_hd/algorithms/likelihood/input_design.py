@@ -33,7 +33,6 @@ from sklearn_hd.algorithms.likelihood.uncertainty import (
 )
 from sklearn_hd.algorithms.linalg.rounding import EPS
 
-WIDTHS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # periods, of the steps to start from
 STEPS_3211 = (1.0, 1.0, 1.0, -1.0, -1.0, 1.0, -1.0)
 BANDS = (0.25, 0.5, 1.0, 2.0)  # cycles a period, up to which spectra to start from are flat
 MOST_LINES = 40  # of a spectrum: more take a longer search
@@ -170,7 +169,7 @@ class Steps:
 
     def starts(self, rng):
         """Doublets, 3-2-1-1 and random steps of several widths, (n_rows, n_inputs) each."""
-        for periods in WIDTHS:
+        for periods in (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0):  # that a step lasts
             width = max(1, round(periods * self.per_period))
             if 2 * width > self.n_rows:
                 break

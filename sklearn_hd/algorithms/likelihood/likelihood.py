@@ -39,8 +39,6 @@ from sklearn_hd.algorithms.matching.least_squares import BoundedSteps, FreeSteps
 
 ROUNDING = 64.0 * EPS  # of an output, what simulation leaves of exactness
 NOISELESS = 1e-10  # of the outputs: less noise may be what rounding leaves in simulation
-MOST_TURNS = 5  # of S and inputs in turn
-QR_BLOCK = 32  # columns of a block of reflections
 WORTH_A_TURN = 1e-3  # of the likelihood, a row
 
 
@@ -318,7 +316,7 @@ class Problem:
         Outputs are linear in these (Golub and Pereyra, 1973); S in turn with them.
         """
         linear = self.form.linear
-        for _ in range(MOST_TURNS):
+        for _ in range(5):  # of S and inputs in turn
             system = self.linearise(point, only=linear)
             step, theta = system.step(0.0), point.theta.copy()
             theta[linear] += step
@@ -362,7 +360,7 @@ def _of_some(response, places):
 
 def updated_factor(factor, columns):
     """Triangular factor (c, c) with further rows: columns (c, n_rows) of the matrix."""
-    block = min(QR_BLOCK, len(factor))
+    block = min(32, len(factor))  # columns of a block of reflections
     rows = np.array(columns).T  # in the order that LAPACK reads
     R = linalg.lapack.dtpqrt(0, block, np.asfortranarray(factor), rows, overwrite_b=True)[0]
     return np.triu(R)

@@ -222,24 +222,15 @@ class NoisyInputProblem(Problem):
         return factor
 
 
-def noisy_input_problem(problem, output_sigma, input_sigma):
-    """The same problem with noise of known size in inputs and outputs."""
-    return NoisyInputProblem(
-        replace(problem.form, input_size=None),
-        problem.records,
-        np.ones(1),
-        output_sigma=np.asarray(output_sigma, dtype=float),
-        input_sigma=np.asarray(input_sigma, dtype=float),
-    )
-
-
 def with_noisy_inputs(problem, found, input_sigma, options):
     """Total least squares from where least squares ended, the outputs' noise in turn with it."""
     sigma = np.sqrt(np.diag(problem.spread(found.point.moments)))
     n_iter, settled = found.n_iter, False
-    smallest = SMALLEST_SHARE * sigma
+    smallest, form = SMALLEST_SHARE * sigma, replace(problem.form, input_size=None)
     for _ in range(options["max_iter"]):
-        noisy = noisy_input_problem(problem, sigma, input_sigma)
+        noisy = NoisyInputProblem(
+            form, problem.records, np.ones(1), output_sigma=sigma, input_sigma=input_sigma
+        )
         begin = noisy.point(found.point.theta, found.point.x0)
         found = search(noisy, begin, **options)
         n_iter += found.n_iter

@@ -41,7 +41,6 @@ from sklearn_hd.algorithms.linalg.rounding import HALF
 from sklearn_hd.algorithms.periodic.periodic_structure import functions_of_turn
 
 RATIOS = 10.0 ** np.arange(-8, 3, 2)  # of noise in states and outputs, in parts of their size
-MOST_HARMONICS = 4  # of K
 MOST_TURNS = 400  # of the Riccati equation
 
 
@@ -142,7 +141,7 @@ def most_harmonics(form):
     """Highest harmonic of K to be tried."""
     if not any(form.structure.varies) and form.observe is None:
         return 0
-    return min(MOST_HARMONICS, int(np.ceil(form.n_phases / 2.0)) - 1)
+    return min(4, int(np.ceil(form.n_phases / 2.0)) - 1)  # harmonics of K
 
 
 def first_gain(form, segments, theta0, gain0=None, counts=None):

@@ -55,7 +55,6 @@ from sklearn_hd.algorithms.signals.fourier import (
 
 LEAST_TAKEN_UP = 0.5  # of the variance that a simulation leaves: its rows are not independent
 DEGREES = (2, 3)  # of products of states and inputs, by which a machine is not linear
-NEWTON_STEPS = 20  # to the orbit at rest: most take 3, those cut to few harmonics up to 10
 SETTLED = 1e-3  # of the motion: by no more may the last of them move
 REACHED = 0.99  # of the rows, the motion in which counts as its reach
 MOST_NUMBERS = 5e6  # sensitivities to products' coefficients: with more, steps take long
@@ -372,7 +371,7 @@ class _Products:
         """
         m, L, far = rest.shape[1], len(rest) // 2, self._distance(motion)
         centre, moved = self.centre, self.with_means(model)
-        for _ in range(NEWTON_STEPS):
+        for _ in range(20):  # most take 3, those cut to few harmonics up to 10
             before, orbit = centre, _with_inputs(moved, m, 0).forced_orbit(rest, L)
             centre = np.hstack([orbit, rest])
             moved = self._moved(model, centre, self)

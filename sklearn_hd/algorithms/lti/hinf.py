@@ -106,7 +106,7 @@ def hinf_norm(A, B, C, D, dt=None):
 _BRACKET = 1e-3  # how far AB13DD's peak may lie from the top, relative
 
 
-def refine_peaks(gains, low, high, rounds=3):
+def refine_peaks(gains, low, high):
     """Tops of a gain between bounds: frequencies, and heights to ten digits after three rounds.
 
     Parameters
@@ -114,11 +114,9 @@ def refine_peaks(gains, low, high, rounds=3):
     gains : callable
         Gains at frequencies of any shape.
     low, high : ndarray, shape (n_peaks,)
-    rounds : int
-        Times that the bounds close in on the top, by a factor of four.
     """
     rows = np.arange(len(low))
-    for _ in range(rounds):
+    for _ in range(3):  # in each the bounds close in on the top by a factor of four
         points = np.linspace(low, high, 9, axis=1)
         values = gains(points)
         best = np.argmax(values, axis=1)

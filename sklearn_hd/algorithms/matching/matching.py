@@ -233,8 +233,11 @@ def starting_points(problem, theta0, n_starts, random_state):
         yield theta0, False
         if problem.abscissa(theta0) < 0:  # else the same again, which would count as found twice
             yield theta0, True
-    if first is None:
-        yield problem.inside(_plain_start(problem)), False
+    if first is None:  # the parameters nearest to states that decay fast and move nothing
+        n, plain = problem.structure.n_states, np.zeros_like(problem.structure.constant)
+        plain[:n, :n] = -problem.fastest * np.eye(n)
+        plain[n:, n:] = problem.model.matrices(np.empty(0))[3]
+        yield problem.inside(problem.structure.project(plain)[0]), False
     random = np.random.default_rng(random_state)
     for k in range(n_starts):
         transformation = draw_transformation(problem, theta0, random, spread=float(k > 0))
@@ -244,12 +247,3 @@ def starting_points(problem, theta0, n_starts, random_state):
         elif first is not None:
             shaken = first * (1.0 + random.uniform(-0.5, 0.5, len(first)))
             yield problem.inside(shaken), k % 2 == 1
-
-
-def _plain_start(problem):
-    """The structure's parameters nearest to states that decay fast and move nothing."""
-    structure, n = problem.structure, problem.structure.n_states
-    plain = np.zeros_like(structure.constant)
-    plain[:n, :n] = -problem.fastest * np.eye(n)
-    plain[n:, n:] = problem.model.matrices(np.empty(0))[3]
-    return structure.project(plain)[0]

@@ -20,7 +20,6 @@ from sklearn_hd.algorithms.lti.hinf import hinf_norm, refine_peaks
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure
 from sklearn_hd.exceptions import UnstableModelError
 
-_POINTS_PER_SWEEP = 70  # of the logarithmic grid
 _MARGIN = 30.0  # how far the grid reaches past the slowest and the fastest pole
 _ZERO_CHANNEL = 1e-6  # rms, relative to the largest, to which a smaller channel is lifted
 _RIVAL = 0.9  # gain on the grid, relative to the norm, of a peak that may be the highest
@@ -67,7 +66,7 @@ def matching_grid(poles):
     size = np.abs(poles)
     size = size[size > 0]
     low, high = (size.min(), size.max()) if len(size) else (1.0, 1.0)
-    sweep = np.geomspace(low / _MARGIN, high * _MARGIN, _POINTS_PER_SWEEP)
+    sweep = np.geomspace(low / _MARGIN, high * _MARGIN, 70)  # of the logarithmic grid
     resonant = poles[(poles.imag > 0) & (np.abs(poles.real) < 0.7 * np.abs(poles))]
     spread = np.tan(np.linspace(-1.3, 1.3, 11))
     clusters = (resonant.imag[:, None] + np.abs(resonant.real[:, None]) * spread).ravel()

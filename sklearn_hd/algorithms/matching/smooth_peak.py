@@ -409,10 +409,6 @@ class _Walls:
         self.scale = problem.moving_scales(theta)
         self.width = np.minimum(self.upper - self.lower, self.scale)
 
-    @property
-    def n_walls(self):
-        return int(np.isfinite(self.lower).sum() + np.isfinite(self.upper).sum())
-
     def off(self, theta):
         """The parameters moved a hundredth of their scale off their bounds."""
         return np.clip(
@@ -528,7 +524,8 @@ class _Point:
         """
         slopes = self.slopes(mu)
         total, rise = slopes.bound.weights.sum(), np.linalg.norm(slopes.gradient)
-        floor = (1.0 - mu * self.walls.n_walls - rise) / (total * value)
+        n_walls = np.isfinite([self.walls.lower, self.walls.upper]).sum()
+        floor = (1.0 - mu * n_walls - rise) / (total * value)
         order = np.argsort(self.frequencies)
         weights = slopes.bound.weights.sum(axis=1)[order] / total
         frequencies, heights = self.frequencies[order], self.bound.sizes[order, 0]

@@ -94,33 +94,13 @@ def expected_members(output_harmonics, rows_per_period):
     return len(shifts)
 
 
-def complete_families(z, families, rows_per_period, n_members, tolerance):
-    """Which poles agree with a family of as many members as a mode of the system must have.
-
-    The members of a genuine family, that is a mode and its copies, share their Floquet
-    multiplier to the precision of the data; what noise, the window's memory or inputs
-    between the rows add to a model does not come in such sets. Poles of no family have a
-    negative number; the tolerance is that of ln z^r from the family's median, relative to its
-    decay.
-    """
-    members = np.zeros(len(z), dtype=bool)
-    for family in range(max(families, default=-1) + 1):
-        own = np.flatnonzero(families == family)
-        logarithms = rows_per_period * np.log(z[own])
-        angles = (logarithms.imag + np.pi) % (2.0 * np.pi) - np.pi
-        folded = logarithms.real + 1j * np.abs(angles)
-        centre = np.median(folded.real) + 1j * np.median(folded.imag)
-        agree = np.abs(folded - centre) <= tolerance * abs(centre.real)
-        # a real multiplier, of either sign, has one member a shift, a pair two
-        from_real = min(abs(centre.imag), np.pi - abs(centre.imag))
-        pair = from_real > tolerance * abs(centre.real)
-        if agree.sum() >= (2 if pair else 1) * n_members:
-            members[own[agree]] = True
-    return members
-
-
 def agreeing_copies(z, output_harmonics, rows_per_period, tolerance=COPY_TOLERANCES[0]):
     """Which poles (not those of the window's memory) belong to a complete family.
+
+    The members of a genuine family, that is a mode and its copies, share their Floquet
+    multiplier to the precision of the data, and are as many as a mode of the system must have;
+    what noise, the window's memory or inputs between the rows add to a model does not come in
+    such sets. The tolerance is that of ln z^r from the family's median, relative to its decay.
 
     Examples
     --------
@@ -134,7 +114,20 @@ def agreeing_copies(z, output_harmonics, rows_per_period, tolerance=COPY_TOLERAN
         return np.zeros(0, dtype=bool)
     families = floquet_families(z, rows_per_period, tolerance)
     n_members = expected_members(output_harmonics, rows_per_period)
-    return complete_families(z, families, rows_per_period, n_members, tolerance)
+    members = np.zeros(len(z), dtype=bool)
+    for family in range(max(families) + 1):
+        own = np.flatnonzero(families == family)
+        logarithms = rows_per_period * np.log(z[own])
+        angles = (logarithms.imag + np.pi) % (2.0 * np.pi) - np.pi
+        folded = logarithms.real + 1j * np.abs(angles)
+        centre = np.median(folded.real) + 1j * np.median(folded.imag)
+        agree = np.abs(folded - centre) <= tolerance * abs(centre.real)
+        # a real multiplier, of either sign, has one member a shift, a pair two
+        from_real = min(abs(centre.imag), np.pi - abs(centre.imag))
+        pair = from_real > tolerance * abs(centre.real)
+        if agree.sum() >= (2 if pair else 1) * n_members:
+            members[own[agree]] = True
+    return members
 
 
 def conjugate_units(z):

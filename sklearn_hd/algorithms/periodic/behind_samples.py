@@ -42,7 +42,6 @@ from sklearn_hd.algorithms.signals.resampling import turned
 
 FINER = 16  # azimuths for each sample, at which F is formed
 FEWEST = 256  # azimuths
-MOST = 4096  # azimuths
 FASTEST = -np.log(EPS)  # time constants within a sample, of which nothing is left
 MOST_CHOICES = 1000  # of outputs as states, that are tried
 
@@ -365,7 +364,7 @@ def samples_of(coefficients, n_states, omega, step):
         matrices = (lambda at, M=M: evaluate_harmonics(M, at) for M in (F, G))
         steps = np.concatenate(steps_between(*matrices, psi, psi + step, omega), axis=2)
         count = tail_begins(steps, 0.0)
-        if count < n_points // 4 or n_points >= MOST:
+        if count < n_points // 4 or n_points >= 4096:  # azimuths, at most
             break
         n_points *= 2
     whole = np.zeros((max(2 * count + 1, len(coefficients)), *coefficients.shape[1:]))

@@ -34,12 +34,9 @@ from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, EXACT
 from sklearn_hd.algorithms.lti.simulation import propagate
 
 N_STAGES = 7  # collocation of order 14, quadrature exact up to degree 13
-MAX_BISECTIONS = 50  # 2⁻⁵⁰ of a period: closer to a jump than rounding tells
-MAX_ROUGH = 4096  # intervals open at one time; a few jumps and kinks never come near
 BLOCK = 256  # intervals integrated together; bounds the memory
 ROTATION = 2.0  # ∫‖F‖ dt of one factor: its condition stays below e⁴
 MIN_FACTORS, MAX_FACTORS = 32, 8192
-MAX_SWEEPS = 60  # multipliers whose ratio is below 0.5 part in 50
 WIDE = 1e-3  # ratio of multipliers in one block below which sweeps go on
 
 
@@ -69,7 +66,7 @@ def by_bisection(rule, compose, weights, left, right, tolerance):
         error = np.max(np.abs(halves - whole) * weight, axis=axes, initial=0.0)
         size = np.max(np.abs(halves) * weight, axis=axes, initial=1.0)
         rough = np.flatnonzero(~(error <= tolerance * size))
-        if rough.size > MAX_ROUGH:
+        if rough.size > 4096:  # a few jumps and kinks never leave as many intervals open
             raise ValueError(
                 f"{rough.size} intervals of a period are still not resolved to {tolerance:g}; the "
                 f"matrices must be smooth in psi except for a few jumps, and free of noise"
@@ -82,7 +79,7 @@ def by_bisection(rule, compose, weights, left, right, tolerance):
             halves[rough] = compose(fine[k:], fine[:k])
         return halves
 
-    return settle(left, right, whole, MAX_BISECTIONS)
+    return settle(left, right, whole, 50)  # 2⁻⁵⁰ of a period: closer to a jump than rounding tells
 
 
 @lru_cache(maxsize=4)
@@ -423,7 +420,7 @@ def _nested(factors):
     n = factors.shape[1]
     start = linalg.qr(np.random.default_rng(0).standard_normal((n, n)))[0]  # in no one's favour
     tolerance = max(EXACT, 2.0 * len(factors) * EPS)
-    for _ in range(MAX_SWEEPS):
+    for _ in range(60):  # multipliers part in 50 if their ratio is below 0.5
         bases, triangles = _carry(factors, start)
         closing = start.T @ bases[-1]
         blocks = _blocks(closing, tolerance)

@@ -19,11 +19,9 @@ LEAST_RATE = 0.02  # e-folds a period: smaller rates are judged as if they were 
 SURE = 2.0  # standard deviations that an estimate may be off by
 SEPARATION = 1e-3  # multipliers or exponents nearer than this, relative, are not told apart
 LARGEST_RESPONSE = 1e70  # alternating fits may come to its fourth power, and 1e308 overflows
-SMALLER = (0.9, 0.3, 0.05)  # sizes of the largest multiplier to start from where it is above 1
 PATIENCE = 2  # orders that may pass without a better one
 WHITE_MARGIN = 1.3  # above it something stands out of the noise
 TRACY_WIDOM = 3.27  # what one in a thousand exceeds; M. Prähofer's tables, β = 1
-MAX_STEPS = 25  # what is found takes ten; modes of noise would go on for hundreds
 
 
 def refine_multipliers(Phi, directions, lifted, largest=None):
@@ -68,7 +66,7 @@ def refine_multipliers(Phi, directions, lifted, largest=None):
     edges = np.cumsum([len(block) for block in blocks])[:-1]
     elimination = _Elimination(edges, Modes(directions), compact(np.vstack(lifted)), largest)
     best = None
-    starts = (size, *SMALLER) if size > 1.0 else (size,)
+    starts = (size, 0.9, 0.3, 0.05) if size > 1.0 else (size,)  # of the largest multiplier
     for wanted in starts[int(size >= largest) :]:
         start = np.concatenate([characteristic(block * (wanted / size)) for block in blocks])
         found = least_squares(
@@ -79,7 +77,7 @@ def refine_multipliers(Phi, directions, lifted, largest=None):
             xtol=1e-15,
             ftol=1e-12,
             gtol=1e-15,
-            max_nfev=MAX_STEPS,
+            max_nfev=25,  # what is found takes ten; modes of noise would go on for hundreds
         )
         best = found if best is None or found.cost < best.cost else best
     moved = map(with_characteristic, blocks, np.split(best.x, edges))

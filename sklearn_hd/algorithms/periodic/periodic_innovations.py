@@ -22,7 +22,6 @@ from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, 
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
 
 MOST_TURNS = 40  # over which the Riccati equation is stepped, where it does not forget sooner
-MANY_COLUMNS = 128  # that keep a processor busy, sample after sample
 
 
 @dataclass(frozen=True, eq=False)
@@ -532,7 +531,7 @@ def propagate_varying(A, forcing, start):
     """
     n_samples, n, _ = A.shape
     r = start.shape[1]
-    if r >= MANY_COLUMNS and forcing is not None:
+    if r >= 128 and forcing is not None:  # columns keep a processor busy, sample after sample
         states = np.empty((n_samples, n, r))
         states[0] = start
         with np.errstate(over="ignore", invalid="ignore"):

@@ -41,7 +41,6 @@ from sklearn_hd.algorithms.signals.fundamental import BEYOND
 
 LEAST_TURNS = 3.0  # of a record: fewer repeat nothing
 FIRST_TURNS = 16  # about the middle, of the first steps: speeds off by a hundredth are found
-MORE_TURNS = 4  # times as many in the next
 MOST_STEPS = 8
 LAGS = 8  # of the predictor
 ORBITS = 2  # harmonics of what inputs do: one alone takes the orbit of another input for a speed
@@ -325,7 +324,7 @@ def _along_waveform(segments, omega, n_harmonics):
             found = _steps(near, found, n_harmonics)
         if turns >= whole:
             break
-        turns *= MORE_TURNS
+        turns *= 4  # for the next
     return found
 
 

@@ -42,7 +42,6 @@ SLIGHT = 1.2  # times: what a first-order gain is held against, which CLEAR asks
 RANKS = 7  # at most, that a first-order gain is sought at
 ASTRAY = 1e-3  # turns
 STEP = 1e-3  # of a unit, by which slopes are found
-JACKKNIFE = 32  # parts of the rows
 BESIDE = 4.0  # turns of the last harmonic over the record, by which another frequency is off
 SHARED = 4 / 3  # variance of sums over windows, each of which has a sixth in common with the next
 NOISE = (
@@ -559,7 +558,7 @@ class _Periods:
         free = n_rows * d - fit.rank * (n_rows + d - fit.rank)
         white = SHARED * np.diag(linalg.pinv(J.T @ J, rtol=1e-20)) * np.sum(left**2) / free
         ends = []
-        for part in np.array_split(np.arange(len(here)), min(JACKKNIFE, len(here))):
+        for part in np.array_split(np.arange(len(here)), min(32, len(here))):  # parts of the rows
             pairs = [[np.delete(a, part, axis=0) for a in pair] for pair in beside]
             J, left, _ = self.slopes(np.delete(here, part, axis=0), pairs, fit.rank)
             ends.append(linalg.lstsq(J, left.ravel(), cond=1e-10)[0])

@@ -8,7 +8,7 @@ from scipy import linalg
 
 from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.likelihood import likelihood_problem
-from sklearn_hd.algorithms.likelihood.noisy_inputs import innovation_filter, noisy_input_problem
+from sklearn_hd.algorithms.likelihood.noisy_inputs import NoisyInputProblem, innovation_filter
 from sklearn_hd.algorithms.likelihood.predictor import as_records, residuals, simulate
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure, sampled_response
 
@@ -78,7 +78,9 @@ def test_gradient_is_that_of_the_criterion(structure, noisy):
     _, record, _, _ = noisy
     segments = [(record.inputs, record.outputs, 5)]
     plain = likelihood_problem(Form(structure, OMEGA, N_PHASES), segments, SIGMA)
-    problem = noisy_input_problem(plain, SIGMA, INPUT_SIGMA)
+    problem = NoisyInputProblem(
+        plain.form, plain.records, np.ones(1), output_sigma=SIGMA, input_sigma=INPUT_SIGMA
+    )
     start = np.array([0.5, -0.2, 0.1, -0.05, 0.2])  # x0, θ
 
     def cost(values):
