@@ -152,7 +152,8 @@ def input_matrices(
         shared = triangle(shared, left)
     # by columns of equal length, so that units do not decide the rank; the shortest one
     theta = solve_within_rank(shared[:, :-1], shared[:, -1])
-    x0 = np.array([right - coupling @ theta for right, coupling in (starts[k] for k in firsts)])
+    starts = [starts[k] for k in firsts]
+    x0 = np.array([inverse @ (own[:, -1] - own[:, :-1] @ theta) for inverse, own in starts])
     found = *split(theta, n, m, n_outputs), x0
     if not return_residual:
         return found
@@ -201,10 +202,9 @@ def _product_factor(normal, u, y, feedthrough, scales):
 
 
 def _without_start(R, n):
-    """The initial state beside some B and D, and the equations left for these.
+    """The equations that an initial state takes, with the inverse of its part, and those left.
 
-    Directions in which it is not seen take none. Of the initial state, what it is without B and D,
-    and what each of their entries takes away.
+    Directions in which it is not seen take none.
     """
     R = np.vstack([R, np.zeros((max(0, n - len(R)), R.shape[1]))])
     own, rest = R[:n, :n], R[:n, n:]
@@ -214,8 +214,7 @@ def _without_start(R, n):
     r = int(np.sum(s > EPS * max(n, 1) * np.max(s, initial=0.0)))
     inverse = Vt[:r].T / s[:r] / scale[:, None]
     turned = U.T @ rest
-    start = inverse @ turned[:r]
-    return (start[:, -1], start[:, :-1]), np.vstack([turned[r:], R[n:, n:]])
+    return (inverse, turned[:r]), np.vstack([turned[r:], R[n:, n:]])
 
 
 def _record_factor(A, C, u, y, feedthrough, observe, scales):
