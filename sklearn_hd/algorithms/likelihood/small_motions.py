@@ -182,8 +182,7 @@ class LargeMotions:
         beside = next_step(start, driven, layout, self.sensor_noise, n_inputs)
         if beside is None:
             return tried, None, None
-        models = start, *beside.of_loads
-        forced, *moved = (products.outputs_at_rest(each, rest) for each in models)
+        forced, *moved = products.outputs_at_rest([start, *beside.of_loads], rest)
         off = np.sum([mean_square(each - forced) for each in moved], axis=0)
         return tried, beside, np.sqrt(off)
 
@@ -353,15 +352,16 @@ class _Products:
         means = np.hstack([np.zeros((len(self.means), n_inputs)), self.means])
         return model.about(sign * means, np.zeros((len(means), model.n_outputs)))
 
-    def outputs_at_rest(self, model, rest):
-        """Fourier coefficients of the outputs of a machine at rest, (2 K + 1, l).
+    def outputs_at_rest(self, models, rest):
+        """Fourier coefficients of the outputs of a machine at rest, (r, 2 K + 1, l).
 
-        Of as many harmonics as the model then has: cut to fewer, another origin of the state would
-        move the outputs.
+        Models are alike but for their loads and the effects of products. K is that of the models
+        at rest: cut to fewer harmonics, another origin of the state would move the outputs.
         """
-        still = _with_inputs(self.with_means(model), rest.shape[1], 0)
-        still = still.about(-rest, np.zeros((len(rest), model.n_outputs)))
-        return still.forced_response(len(still.coefficients) // 2)
+        still = [_with_inputs(self.with_means(model), rest.shape[1], 0) for model in models]
+        still = [each.about(-rest, np.zeros((len(rest), each.n_outputs))) for each in still]
+        loads = np.stack([each.coefficients[..., -1] for each in still], axis=-1)
+        return still[0].forced_responses(loads, len(loads) // 2)
 
     def about_rest(self, model, motion, rest):
         """The same model with products about the orbit at rest, and these.

@@ -235,11 +235,15 @@ class PeriodicInnovations:
 
     def forced_response(self, n_harmonics):
         """Fourier coefficients of the periodic outputs without inputs, (2 n_harmonics + 1, l)."""
+        return self.forced_responses(self.coefficients[..., -1:], n_harmonics)[0]
+
+    def forced_responses(self, loads, n_harmonics):
+        """The same for each of other loads (2 L + 1, n + l, r): (r, 2 n_harmonics + 1, l)."""
         n, K = self.n_states, n_harmonics
         psi = 2.0 * np.pi * np.arange(4 * K + 4) / (4 * K + 4)
-        rows, x = self.rows(psi), evaluate_harmonics(self._orbit(K), psi)
-        outputs = np.einsum("tij,tj->ti", rows.outputs[..., :n], x) + rows.outputs[..., -1]
-        return sampled_harmonics(outputs, K)
+        x = evaluate_harmonics(self._orbits(loads, K), psi)
+        outputs = self.rows(psi).outputs[..., :n] @ x + evaluate_harmonics(loads[:, n:], psi)
+        return np.moveaxis(sampled_harmonics(outputs, K), -1, 0)
 
     def about_orbit(self):
         """The same model, its state counted from the forced periodic motion without inputs.
@@ -277,21 +281,25 @@ class PeriodicInnovations:
         return driven._orbit(count)
 
     def _orbit(self, n_harmonics):
-        """Fourier coefficients of x_p(ψ + δ) = A(ψ) x_p(ψ) + a(ψ), at equally spaced azimuths."""
+        """Fourier coefficients of x_p(ψ + δ) = A(ψ) x_p(ψ) + a(ψ), (2 n_harmonics + 1, n)."""
+        return self._orbits(self.coefficients[..., -1:], n_harmonics)[..., 0]
+
+    def _orbits(self, loads, n_harmonics):
+        """The same for each of other loads, (2 n_harmonics + 1, n, r): at equal steps of ψ."""
         n, K = self.n_states, n_harmonics
         psi = 2.0 * np.pi * np.arange(4 * K + 4) / (4 * K + 4)
-        states = self.rows(psi).states
-        A, a = states[..., :n], states[..., -1]
+        A, a = self.rows(psi).states[..., :n], evaluate_harmonics(loads[:, :n], psi)
         # whatever units states are in
         size = linalg.matrix_balance(np.mean(np.abs(A), axis=0), permute=False, separate=True)[1][0]
-        A, a = A / size[:, None] * size, a / size
+        A, a = A / size[:, None] * size, a / size[:, None]
         now, later = (harmonic_functions(psi + d, range(K + 1)) for d in (0.0, self.step))
         moved = np.einsum("tij,tk->tikj", A, now)
         kept = np.einsum("tk,ij->tikj", later, np.eye(n))
         design = (kept - moved).reshape(len(psi) * n, -1)
         # by a QR decomposition: an SVD may fail to converge
-        found = linalg.lstsq(design, a.ravel(), cond=HALF, lapack_driver="gelsy")[0]
-        return found.reshape(2 * K + 1, n) * size
+        rhs = a.reshape(len(design), -1)
+        found = linalg.lstsq(design, rhs, cond=HALF, lapack_driver="gelsy")[0]
+        return found.reshape(2 * K + 1, n, -1) * size[:, None]
 
 
 def _power(steps, exponent):
