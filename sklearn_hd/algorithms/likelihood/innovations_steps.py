@@ -150,11 +150,14 @@ def next_step(innovations, segments, layout, sensor_noise, n_inputs):
 
 
 def is_told(innovations, segments, layout, counted=None):
-    """Whether the rows are enough for all coefficients; arguments as for :func:`most_likely`."""
+    """Whether the rows that tell second derivatives are enough for all coefficients.
+
+    Arguments as for :func:`most_likely`.
+    """
     rows = zip(segments, _counted(segments, counted), strict=True)
     n_values = sum(y[some].size for (_, y, _), some in rows)
-    form = _Form.of(_with_loads(innovations, layout), layout)
-    return n_values >= ROWS_PER_COLUMN * len(form.places)
+    n_free = len(_Form.of(_with_loads(innovations, layout), layout).places)
+    return min(n_values, MOST_NUMBERS / n_free) >= ROWS_PER_COLUMN * n_free
 
 
 def _with_loads(innovations, layout):
