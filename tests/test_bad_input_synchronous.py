@@ -131,6 +131,7 @@ def test_fixed_entries_that_outgrow_the_record(oscillation):
 
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 @pytest.mark.filterwarnings("ignore:the periodic orbit is unstable")  # by noise, or not
+@pytest.mark.slow
 def test_outputs_of_noise_for_the_most_part():
     with pytest.warns(IdentifiabilityWarning, match=r"explains only \d+% of the record's variance"):
         synchronous(2.0, order=2).fit(*record(mathieu(), noise=2.0))
@@ -165,6 +166,7 @@ def test_a_frequency_that_is_off_by_one_percent():
             pipe.fit(u, y)
 
 
+@pytest.mark.slow
 def test_a_wildly_growing_record_is_exact_or_said():
     """Multipliers of 2.6: 24 decades over the record hide what the inputs did."""
     system = mathieu(damping=-0.3)

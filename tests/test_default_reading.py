@@ -188,6 +188,7 @@ def test_rows_that_are_lost_leave_a_record_readable():
 
 
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.slow
 def test_the_other_reading_is_taken_where_it_is_surer(seed):
     """Under 3 % noise, periods leave 8 % of a rate open and nothing in doubt; samples know 1 %."""
     F = np.array([[[-1.2, 1.0], [-1.0, -1.2]], [[0.1, 0.0], [0.2, 0.1]], [[0.0, 0.1], [0.0, 0.0]]])

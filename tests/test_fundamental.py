@@ -182,6 +182,7 @@ def test_the_clock_of_an_input_is_said_to_be_one():
     assert all("keep omega if it is known" in words for words in told)
 
 
+@pytest.mark.slow
 def test_nothing_to_tell_it_from():
     still, rng = np.zeros((2000, 1)), np.random.default_rng(0)
     with pytest.raises(ValueError, match="too few to find a repetition"):
@@ -460,6 +461,7 @@ def test_where_no_waveform_repeats_itself_a_frequency_may_be_any(seed):
     assert re.search("no orbit at .* may be any|no fundamental frequency stands out", said)
 
 
+@pytest.mark.slow
 def test_a_record_beside_its_trim_holds_no_sure_frequency():
     data = make_flapping_wing(
         "ltp", n_periods=120, start=5, width=3, samples_per_period=32, random_state=0

@@ -209,6 +209,7 @@ def test_loads_are_those_of_a_machine_at_rest():
     assert np.max(np.sqrt(np.mean(still**2, axis=0)) / y.std()) < 0.005
 
 
+@pytest.mark.slow
 def test_motions_smaller_than_the_orbit_is_known_are_said_to_be():
     u, y = record(noise=0.05)
     analyzer = HarmonicAnalyzer(OMEGA, reading="sample")
@@ -369,6 +370,7 @@ def test_a_square_that_moves_about_periodic_means_alone_is_left_out_about_rest(s
 
 
 @pytest.mark.filterwarnings("ignore:1 of 1 exponents:sklearn_hd.exceptions.IdentifiabilityWarning")
+@pytest.mark.slow
 def test_motions_that_hide_the_small_ones_get_one_linear_model():
     frame, y = bent_sensor(0.3, 4)
     with pytest.warns(IdentifiabilityWarning, match="too large to tell the small ones"):
@@ -421,6 +423,7 @@ def test_a_likelihood_whose_few_harmonics_do_not_converge_begins_with_all_of_the
 
 
 @pytest.mark.parametrize("offset", [0, 50])
+@pytest.mark.slow
 def test_exact_decays_show_small_motions_beside_the_second_order(offset):
     """Exponents and mode shapes of the flapping wing after one doublet of 2 %."""
     data = make_flapping_wing("nltp", n_periods=60, start=8, width=10, offset=offset / 64)

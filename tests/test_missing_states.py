@@ -63,7 +63,7 @@ def fitted(reading, order, u, y, **match):
     return make_pipeline(*steps).fit(u, y)
 
 
-@pytest.mark.parametrize("reading", ["period", "sample"])
+@pytest.mark.parametrize("reading", ["period", pytest.param("sample", marks=pytest.mark.slow)])
 def test_a_missing_state_is_told_and_a_model_that_has_it_is_not(reading):
     u, y = record(1, reading == "period")
     with warnings.catch_warnings(record=True) as said:

@@ -432,6 +432,7 @@ def short_noisy(rng):
 
 
 @pytest.mark.parametrize("trim", [None, 1e4])
+@pytest.mark.slow
 def test_harmonics_that_are_rounding_are_no_signals(trim):
     """Brought to the size of the others, as signals of their own they cost 0.1 of R²."""
     rng, spp = np.random.default_rng(0), 17

@@ -201,6 +201,7 @@ def test_a_matrix_structure_shows_its_parameters(tmp_path):
         assert f"{name} {with_reach(value, half[name])}" in words(page.text["model"])
 
 
+@pytest.mark.slow
 def test_a_wrong_model_says_so_at_the_top(tmp_path):
     rng = np.random.default_rng(0)
     u, e, y = rng.standard_normal((3, 2000))

@@ -169,6 +169,7 @@ def test_matched_periodic_models_by_their_simulations():
     assert pipe["match"].covariance_type_ == "robust"  # no warning: samples confirm the exponents
 
 
+@pytest.mark.slow
 def test_a_trim_is_no_load_and_its_noise_no_failure():
     u, y = record(mathieu(), noise=0.02)
     analyzer = {"trim_span": (0.0, np.pi)}  # one period

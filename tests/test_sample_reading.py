@@ -96,6 +96,7 @@ def test_a_periodic_machine_is_found_with_nothing_chosen(samples):
 
 
 @pytest.mark.parametrize("order", ["auto", 2])
+@pytest.mark.slow
 def test_states_that_the_outputs_show_in_turning_coordinates_are_not_more(order):
     """Constant coordinates of these futures are singular at some azimuth, and take three states."""
     F = [
@@ -118,6 +119,7 @@ def test_states_that_the_outputs_show_in_turning_coordinates_are_not_more(order)
     np.testing.assert_allclose(found, np.sort(true.floquet_exponents().real), rtol=0.02)
 
 
+@pytest.mark.slow
 def test_outputs_are_the_states_where_there_are_enough():
     """All that is known of a blade's flap to come turns far over a turn; flap and rate do not."""
     blade, rng = flapping_blade(gamma=4.0), np.random.default_rng(1)
@@ -134,6 +136,7 @@ def test_outputs_are_the_states_where_there_are_enough():
     same_exponents(identify.ltp_.floquet_exponents(), blade, 0.02)
 
 
+@pytest.mark.slow
 def test_a_mode_that_nothing_moves_is_truncated():
     """A third state that neither inputs nor innovations move, beside two that are coupled to it."""
     u, y, *_ = machine()
@@ -159,6 +162,7 @@ def test_a_mode_that_nothing_moves_is_truncated():
     assert "what it leaves is no noise" in kept.against  # nothing said is lost
 
 
+@pytest.mark.slow
 def test_loads_are_told_from_the_dynamics():
     u, *_ = machine(1000)
     u[:] = 0.0

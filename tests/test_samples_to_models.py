@@ -113,6 +113,7 @@ def kinked():
 
 
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
+@pytest.mark.slow
 def test_inputs_as_measured_match_as_those_about_their_trim():
     """The response to a trim of 1000 times the motion is none of the match's."""
     u, y = record(kinked(), samples=16, turns=80, noise=1e-4)
@@ -393,6 +394,7 @@ def test_entries_of_states_that_nothing_measures_are_refused():
         pipeline(2.0, order=2, structure=SWINGING).fit(*record(deflection_only()))
 
 
+@pytest.mark.slow
 def test_a_likelihood_names_as_many_harmonics_as_it_found(tmp_path):
     """One output does not determine two states: P(ψ) varies, with more harmonics than the start."""
     u, y = record(deflection_only(), 16.0, turns=60)
@@ -422,6 +424,7 @@ def test_a_feedthrough_that_data_show_is_kept():
 
 
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.slow
 def test_a_structure_left_open_leaves_no_more_than_the_model_identified(seed):
     """Two outputs that are nearly one: with few harmonics of F, states would be off by more."""
     F = [

@@ -62,6 +62,7 @@ def test_a_map_is_scored_at_every_sample_of_the_period():
     assert found[2] == pytest.approx(found[1], abs=2e-5)
 
 
+@pytest.mark.slow
 def test_the_first_steps_score_as_the_whole_pipeline():
     u, y = record(mathieu(), 1, 0.02)
     pipe = first_two(2.0, 2)
@@ -75,6 +76,7 @@ def test_the_first_steps_score_as_the_whole_pipeline():
 
 
 @pytest.mark.parametrize("predictor", [False, True])
+@pytest.mark.slow
 def test_exact_data_of_several_inputs_are_met_at_every_sample(predictor):
     system = coupled()
     u, y = record(system, 2, 0.0, n_periods=160)

@@ -70,6 +70,7 @@ def random_changes(n_periods, amplitude=8.4e-5):
     return make_flapping_wing("ltp", n_periods=n_periods, start=0, width=1, input=du)
 
 
+@pytest.mark.slow
 def test_an_input_that_changes_at_every_sample():
     data = random_changes(140)
     pipe = fit_wing(data)
@@ -301,6 +302,7 @@ def test_an_input_without_a_mean_over_any_period():
     comes_back(pipe, system)
 
 
+@pytest.mark.slow
 def test_units_of_the_outputs_scale_the_states():
     system, units = mathieu(), np.array([1e6, 1e-3])
     u, y = record(system)
@@ -311,6 +313,7 @@ def test_units_of_the_outputs_scale_the_states():
     np.testing.assert_allclose(other.G(PSI) / units[:, None], one.G(PSI), rtol=1e-6, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_growing_record():
     """An unstable orbit: multipliers of 1.065, 40 times the size at the end."""
     system = mathieu(damping=-0.02)
@@ -350,6 +353,7 @@ def test_any_outputs_that_determine_the_state_may_be_it():
     np.testing.assert_allclose(found.P(PSI)[0], [[1, 0], [1, 0], [0, 1]], atol=1e-10)
 
 
+@pytest.mark.slow
 def test_no_structure_is_every_coefficient_free():
     system = mathieu()
     u, y = record(system)

@@ -111,6 +111,7 @@ def test_records_have_the_unit_of_their_clock_from_their_own_beginning():
 
 
 @pytest.mark.parametrize("unit", [1e-6, 1e-4])
+@pytest.mark.slow
 def test_a_clock_of_some_unit_identifies_the_same_model(unit):
     wing = make_flapping_wing("nltp", n_periods=180, amplitude=0.005)
     time, found = wing.inputs.index.to_numpy(), []
@@ -387,7 +388,9 @@ def test_dates_far_from_their_origin(flown):
     assert scores[1] > 0.9
 
 
-@pytest.mark.parametrize("reading", ["sample", "period", "sliding"])
+@pytest.mark.parametrize(
+    "reading", [pytest.param("sample", marks=pytest.mark.slow), "period", "sliding"]
+)
 def test_rows_without_times_are_as_far_apart_as_at_fit(reading):
     """Models of samples are predicted at any clock: 1 s a row was one of them."""
     data = make_flapping_wing("ltp", n_periods=60, start=8)

@@ -273,6 +273,7 @@ def with_noise(y, share, seed):
 
 
 @pytest.mark.parametrize(("seed", "order"), [(2, 4), (0, 6)])
+@pytest.mark.slow
 def test_growth_that_the_record_does_not_need_gives_way(seed, order):
     """States too many, of noise as large as half the motion; one of them would grow."""
     u, y = periodic_cases.record(periodic_cases.mathieu(), n_periods=40, seed=seed)
@@ -310,7 +311,9 @@ def harmonic_match(seed, **match):
     return Pipeline([*pipeline(1, "auto").steps, ("match", matcher)]), u, y
 
 
-@pytest.mark.parametrize("criterion", ["hinf", "least_squares"])
+@pytest.mark.parametrize(
+    "criterion", [pytest.param("hinf", marks=pytest.mark.slow), "least_squares"]
+)
 @pytest.mark.parametrize(("seed", "error"), [(10, UnstableModelError), (7, ValueError)])
 @pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.IdentifiabilityWarning")
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")

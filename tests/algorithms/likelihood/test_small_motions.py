@@ -51,6 +51,7 @@ def off(model, true):
 
 
 @pytest.mark.parametrize(("degree", "bend"), [(2, 0.2), (3, -0.1)])
+@pytest.mark.slow
 def test_beside_products_exponents_are_those_of_small_motions(degree, bend):
     true = seen()
     some = [bent(true, degree, bend, 1500, seed) for seed in (1, 2)]
@@ -66,6 +67,7 @@ def test_beside_products_exponents_are_those_of_small_motions(degree, bend):
     assert np.all(np.abs(np.sort_complex(known) - multipliers(true)) < 5.0 * deviations)
 
 
+@pytest.mark.slow
 def test_small_motions_are_those_about_inputs_at_rest():
     """Inputs that have a mean hold the machine where its spring is harder."""
     true, mean = seen(), 0.06
@@ -82,6 +84,7 @@ def test_small_motions_are_those_about_inputs_at_rest():
     assert not large.small_motions(REST - 20.0 * mean).about_rest  # the motion does not reach it
 
 
+@pytest.mark.slow
 def test_a_cube_about_the_mean_is_not_one_about_the_orbit_at_rest():
     """Squares come with it, although products of two did not pay."""
     centre, mean, bend = 0.3, 0.089, -0.3
@@ -97,6 +100,7 @@ def test_a_cube_about_the_mean_is_not_one_about_the_orbit_at_rest():
     assert off(linear, true) > 4.0 * np.max(small.ahead[1])
 
 
+@pytest.mark.slow
 def test_no_pass_begins_at_a_model_that_grows():
     true, mean = seen(), 0.06
     some = [bent(true, 2, 0.2, 1500, seed, mean) for seed in (1, 2)]

@@ -180,6 +180,7 @@ def test_a_response_of_second_order_is_no_mode(multipliers, noise):
 
 
 @pytest.mark.parametrize("noise", [3e-3, 1e-2])
+@pytest.mark.slow
 def test_one_mode_fitted_to_several_products_is_known_no_better_than_they_are_told_apart(noise):
     """It lies between their multipliers, and its scatter does not show that it is none."""
     pairs = np.array([0.9 * np.exp(2j), 0.85 * np.exp(1j)])
@@ -197,7 +198,7 @@ def test_one_mode_fitted_to_several_products_is_known_no_better_than_they_are_to
     assert between >= 8
 
 
-@pytest.mark.parametrize("noise", [0.0, 1e-6, 1e-3])
+@pytest.mark.parametrize("noise", [0.0, 1e-6, pytest.param(1e-3, marks=pytest.mark.slow)])
 def test_what_is_known_of_a_linear_machine_stays(noise):
     modes = [0.9 * np.exp(2j), 0.9 * np.exp(-2j), 0.78, 0.5]
     for seed in range(10):
@@ -228,6 +229,7 @@ def drawn_pairs(rng):
     return size * np.exp(1j * rng.uniform(0.3, 2.8, 2))
 
 
+@pytest.mark.slow
 def test_fits_of_more_states_take_products_out_of_the_modes():
     """A fit of the two pairs alone has both shifted by these."""
     z, ratios = [0.8 * np.exp(1.2j), 0.7 * np.exp(2.5j)], []
@@ -253,6 +255,7 @@ def test_a_mode_that_fits_of_more_states_do_not_have_is_in_doubt():
 
 
 @pytest.mark.parametrize("noise", [1e-4, 1e-3])
+@pytest.mark.slow
 def test_fits_of_more_states_tell_nothing_where_noise_moves_a_linear_machine(noise):
     """What few modes leave is not white then, and more modes leave almost as much."""
     a, n = 0.7 ** (1.0 / PHASES), 48 * PHASES
@@ -276,6 +279,7 @@ def test_motions_beside_the_modes_are_columns_of_each_decay():
     np.testing.assert_array_equal(few[0], np.eye(2)[[0] * 5])
 
 
+@pytest.mark.slow
 def test_a_weak_mode_beside_products_is_found_or_something_is_in_doubt():
     """Its directions are weaker than the hundredth that counts by itself."""
     right = 0
