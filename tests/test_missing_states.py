@@ -93,8 +93,8 @@ def test_a_likelihood_without_the_state_is_in_doubt():
 @pytest.mark.slow
 @pytest.mark.parametrize("gust", [0.0, 0.2])
 def test_gusts_and_noise_are_no_missing_state(gust):
-    """Of ten right models none is told: one in a thousand would be."""
-    for seed in range(10):
+    """Of five right models none is told: one in a thousand would be."""
+    for seed in range(5):
         fitted("sample", 2, *record(seed, False, gust=gust, seen=0.0))
 
 

@@ -122,8 +122,8 @@ def test_the_summary_counts_refusals_apart():
 
 @pytest.mark.slow
 def test_random_systems_noise_free():
-    rows = pd.DataFrame([study.run(seed, 0.0) for seed in range(2000, 2036)])
-    assert rows["precision"].mean() >= 0.95  # 36 systems; the table has 240
+    rows = pd.DataFrame([study.run(seed, 0.0) for seed in range(2000, 2018)])
+    assert rows["precision"].mean() >= 0.95  # 18 systems; the table has 240
     assert rows["recall"].mean() >= 0.92
     definite = rows[(rows["kind"] == "hd") & rows["excitation"].isin(["doublet", "prbs"])]
     assert (definite[["precision", "recall"]] == 1.0).all(axis=None)

@@ -27,6 +27,7 @@ from sklearn_hd._identify.stages import (
     DEFAULT_BLOCK_ROWS,
     allowed_block_rows,
     by_gap,
+    check_told_from_loads,
     decompose,
     fit_matrices,
     rows_of_predictor,
@@ -144,6 +145,9 @@ def _identified(data, settings, experiment):
         settings, data, asked_block_rows(data.facts.basis, settings), words=WORDS
     )
     check_motion(data.facts)
+    u = np.vstack(lifted_periods(experiment, experiment.inputs))
+    of_turns = (np.sqrt(np.mean(each**2, axis=(0, 1))) for each in (u, u - u.mean(axis=0)))
+    check_told_from_loads(*of_turns, experiment)
     size, scales = data.scales(settings.scale)
     if settings.predictor and settings.block_rows is None:
         i = rows_of_predictor(data, i, size, settings)

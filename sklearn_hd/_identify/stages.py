@@ -395,16 +395,20 @@ def check_outputs_move(still, facts):
         )
 
 
-def check_told_from_loads(left, experiment):
-    """Raise ValueError if an input moves with the turn alone: then loads look the same."""
-    whole = root_mean_square(experiment.drive)
+def check_told_from_loads(whole, left, experiment):
+    """Raise ValueError if an input moves with the turn alone: then loads look the same.
+
+    ``whole`` and ``left`` are root mean squares of inputs, and of these beside their mean turn.
+    """
+    of_loads = ", or give load_harmonics below those of the input"
+    way = of_loads if experiment.basis.reading == "sample" else ""
     for name, size, rest in zip(experiment.basis.input_signals, whole, left, strict=True):
-        if rest <= NOTHING * size:
+        if size > 0.0 and rest <= NOTHING * size:
             raise ValueError(
                 f"input {name!r} repeats itself with every turn in the {experiment.span()} (except "
                 f"for {rest / size:.2g} of its size), so its effect cannot be separated from "
-                f"periodic loads; use a record in which it changes from turn to turn, drop it, "
-                f"subtract its rest value, or give load_harmonics below those of the input"
+                f"periodic loads; use a record in which it changes from turn to turn, drop it, or "
+                f"subtract its rest value{way}"
             )
 
 
