@@ -34,7 +34,7 @@ from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN, harmonic_func
 FEW_STEPS = 8  # of exact data, whose likelihood has no end, if exponents rest
 MOST_STEPS = 40  # if they do not
 STILL = 0.01  # of a rate, that a step moves no exponent by
-MOST_NUMBERS = 2e7  # sensitivities that second derivatives are made of: they take a second
+MOST_NUMBERS = 1e7  # sensitivities that second derivatives are made of: they take half a second
 PIECE = 2.5e5  # of them at once: what a processor keeps at hand
 ENOUGH = 0.1  # fall of −log L, in all, below which parameters move within their deviations
 FIRST_DAMPING = 1e-3  # of the largest eigenvalue of the information
@@ -76,14 +76,16 @@ def most_likely(
     found : PeriodicInnovations, (ndarray, ndarray)
         The model; the logarithms of its multipliers to which a further step would lead, and
         their standard deviations, √(σ²_real + σ²_imag). None where the record is too short for
-        so many coefficients, where the predictor forgets nothing, and where steps are not worth
-        it.
+        so many coefficients, or these are too many for steps, where the predictor forgets nothing,
+        and where steps are not worth it.
     """
     if not is_told(innovations, segments, layout, counted):
         return None
     innovations = _with_loads(innovations, layout)
     form = _Form.of(innovations, layout)
     counted, n_free = _counted(segments, counted), len(form.places)
+    if MOST_NUMBERS / n_free < ROWS_PER_COLUMN * n_free:  # too few for second derivatives
+        return None
     told = list(_telling(segments, counted, int(MOST_NUMBERS / n_free / layout.n_outputs)))
     at = fitted(innovations, segments, sensor_noise, counted)
     if at is None:
@@ -150,14 +152,11 @@ def next_step(innovations, segments, layout, sensor_noise, n_inputs):
 
 
 def is_told(innovations, segments, layout, counted=None):
-    """Whether the rows that tell second derivatives are enough for all coefficients.
-
-    Arguments as for :func:`most_likely`.
-    """
+    """Whether the rows are enough for all coefficients; arguments as for :func:`most_likely`."""
     rows = zip(segments, _counted(segments, counted), strict=True)
     n_values = sum(y[some].size for (_, y, _), some in rows)
-    n_free = len(_Form.of(_with_loads(innovations, layout), layout).places)
-    return min(n_values, MOST_NUMBERS / n_free) >= ROWS_PER_COLUMN * n_free
+    form = _Form.of(_with_loads(innovations, layout), layout)
+    return n_values >= ROWS_PER_COLUMN * len(form.places)
 
 
 def _with_loads(innovations, layout):
