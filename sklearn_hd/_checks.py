@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from pandas.api.types import is_datetime64_any_dtype, is_integer_dtype, is_numeric_dtype
 
 from sklearn_hd._guards import square_sums
 
@@ -408,7 +409,7 @@ def check_same_rows(X, y):
     if not isinstance(y, pd.DataFrame | pd.Series):
         return
     index = X.index if isinstance(X, pd.DataFrame | pd.Series) else pd.RangeIndex(len(X))
-    counts = [pd.api.types.is_integer_dtype(each.dtype) for each in (index, y.index)]
+    counts = [is_integer_dtype(each.dtype) for each in (index, y.index)]
     if counts == [True, False]:
         raise ValueError(
             "y has times in its index, but X has none: X may have lost its times in a step before "
@@ -419,10 +420,25 @@ def check_same_rows(X, y):
         hint = " (y has no times: use y.set_axis(X.index) if its rows are those of X)" * counts[1]
         if all(counts) and index.equals(pd.RangeIndex(len(X))):  # an array, cut by a split
             hint = f" (X counts from 0, y from {y.index[0]}: give X the index of y, or use arrays)"
+        way = "align them first, for example with X, y = X.align(y, axis=0, join='inner')"
+        apart = _small_distance(index, y.index)
+        if apart is not None:
+            way = f"they differ by {apart} at most: use y.set_axis(X.index) if rows go together"
         raise ValueError(
             f"X and y have different indices{hint}: inputs and outputs must be sampled at the same "
-            f"times; align them first, for example with X, y = X.align(y, axis=0, join='inner')"
+            f"times; {way}"
         )
+
+
+def _small_distance(index, other):
+    """The largest distance of the times of two clocks, if less than half a step; else None."""
+    if len(index) != len(other) or len(index) < 2 or index.dtype != other.dtype:
+        return None
+    if not (is_numeric_dtype(index) or is_datetime64_any_dtype(index)):
+        return None
+    apart = np.max(np.abs(np.asarray(index - other)))
+    near = 2 * apart < np.min(np.abs(np.diff(index)))
+    return (f"{apart:.2g} s" if is_numeric_dtype(index) else pd.Timedelta(apart)) if near else None
 
 
 def check_output_names(names, expected, where):

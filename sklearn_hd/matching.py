@@ -654,13 +654,13 @@ def _warn_of_moves(model, match, likely):
     opinion = model.opinion
     if opinion is None or searching():
         return
-    if not contradictions(model.exponents(), opinion):
-        periodic = match.periodic
-        found = periodic.to_system().floquet_exponents() if periodic else match.model.exponents()
+    exponents, periodic = model.exponents(), match.periodic
+    found = periodic.to_system().floquet_exponents() if periodic else match.model.exponents()
+    if not contradictions(exponents, opinion):
         warn_unconfirmed(found, opinion)
         unconfirmed = doubtful(found, replace(opinion, own=True))
         if not likely and unconfirmed.any():
-            warn_unconfirmed(found[unconfirmed], opinion.of_identified(model.exponents()))
-        lost = lacks(found, opinion.of_whole(model.exponents()))
-        if lost and len(found) == model.n_states:
-            warn(f"{lost}, where the match has moved it; {WAY_OUT}", IdentifiabilityWarning)
+            warn_unconfirmed(found[unconfirmed], opinion.of_identified(exponents))
+    lost = lacks(found, opinion.of_whole(exponents[~doubtful(exponents, opinion)]))
+    if lost and len(found) == model.n_states:
+        warn(f"{lost}, where the match has moved it; {WAY_OUT}", IdentifiabilityWarning)

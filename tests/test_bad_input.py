@@ -280,6 +280,8 @@ def test_outputs_are_checked_like_inputs(u, y):
         analyze(u, y.iloc[1:])
     with pytest.raises(ValueError, match=r"X and y have different indices: .* align them first"):
         analyze(u, y.set_axis(y.index + 1.0))
+    with pytest.raises(ValueError, match=r"differ by 1e-09 s at most: use y.set_axis\(X.index\)"):
+        analyze(u, y.set_axis(y.index + 1e-9))
     frame = analyze(u, y).transform(u)
     with pytest.raises(ValueError, match=r"X and y have different indices"):
         MOESPRegressor().fit(frame, y.set_axis(y.index + 1.0))

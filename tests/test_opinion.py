@@ -163,6 +163,16 @@ def test_a_mode_that_a_match_moves_to_where_nothing_is_judged_is_missed(deviatio
     assert [words in str(w.message) for w in said] == [True] * told
 
 
+def test_a_sure_mode_that_a_match_moves_is_missed_beside_one_in_doubt():
+    identified, found = np.array([-0.02, -0.5 + 0j]), np.array([-0.05, -0.5 + 0j])
+    its = replace(opinion([-0.02, -0.5], 0.0, own=True), deviations=np.array([1e-4, 0.2]))
+    model = SimpleNamespace(opinion=its, exponents=lambda: identified, n_states=2)
+    match = SimpleNamespace(periodic=None, model=SimpleNamespace(exponents=lambda: found))
+    assert contradictions(identified, its)  # of the other one
+    with pytest.warns(IdentifiabilityWarning, match="has -0.02.* nearest to it, where the match"):
+        _warn_of_moves(model, match, likely=False)
+
+
 def test_a_mode_that_another_way_has_is_missed():
     has = needed([*PAIR, -0.05])
     assert missing(PAIR, has).tolist() == [False, False, True]

@@ -419,7 +419,8 @@ def _plant(model, structure, noise_std, samples_per_period):
     if match.periodic is None or not (match.periodic.physical or structure is not None):
         raise ValueError(
             "design_input needs a linear time-periodic model whose states are outputs; fit with "
-            "structure=HarmonicStructure() and as many states as outputs, or give an LTPSystem"
+            "structure=HarmonicStructure() and as many states as outputs, or give an LTPSystem, "
+            "such as ltp_ of the fitted step, with noise_std"
         )
     periodic, given = match.periodic, structure or matcher.structure or HarmonicStructure()
     names = periodic.state_names, periodic.input_names, periodic.output_names
