@@ -318,13 +318,12 @@ def check_motion(facts):
         Of the data of a fit (:mod:`~sklearn_hd._identify.statistics`).
     """
     if facts.still:
-        still = "is constant"
-        if facts.basis.input_trim is not None:
-            still = "is constant, or repeats itself with every turn,"
+        trimmed = facts.basis.input_trim is not None
+        wave = ", or repeats itself with every turn," if trimmed else ""
         raise ValueError(
-            f"input {facts.still[0]!r} {still} in the {facts.span()} (changes below {SMALLEST:g} "
-            f"count as zero), so the record does not tell its effect; choose a span in which it "
-            f"moves, or drop that input{facts.why_short}"
+            f"input {facts.still[0]!r} is constant{wave} in the {facts.span()} (changes below "
+            f"{SMALLEST:g} count as zero), so the record does not tell its effect; choose a span "
+            f"in which it moves, or drop that input{facts.why_short}"
         )
     moves, off = facts.outputs_move, facts.outputs_off
     if not moves.any():

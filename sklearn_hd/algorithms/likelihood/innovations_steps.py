@@ -143,7 +143,7 @@ def next_step(innovations, segments, layout, sensor_noise, n_inputs):
     at = fitted(innovations, segments, sensor_noise)
     if at is None:
         return None
-    n_rows = int(MOST_NUMBERS / len(form.places) / layout.n_outputs)
+    n_rows = int(2.0 * MOST_NUMBERS / len(form.places) / layout.n_outputs)  # once, not each step
     system = form.system(at, list(_telling(segments, at.counted, n_rows)))
     beyond = system.beyond_noise(form.driven_beyond(innovations, n_inputs))
     step, root = system.alone(form.driven_beyond(innovations, n_inputs, loads=True))
