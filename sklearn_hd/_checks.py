@@ -8,7 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from pandas.api.types import is_datetime64_any_dtype, is_integer_dtype, is_numeric_dtype
+from pandas.api.types import (
+    is_datetime64_any_dtype,
+    is_float_dtype,
+    is_integer_dtype,
+    is_timedelta64_dtype,
+)
 
 from sklearn_hd._guards import square_sums
 
@@ -434,11 +439,13 @@ def _small_distance(index, other):
     """The largest distance of the times of two clocks, if less than half a step; else None."""
     if len(index) != len(other) or len(index) < 2 or index.dtype != other.dtype:
         return None
-    if not (is_numeric_dtype(index) or is_datetime64_any_dtype(index)):
+    seconds = is_float_dtype(index)
+    if not (seconds or is_datetime64_any_dtype(index) or is_timedelta64_dtype(index)):
         return None
     apart = np.max(np.abs(np.asarray(index - other)))
-    near = 2 * apart < np.min(np.abs(np.diff(index)))
-    return (f"{apart:.2g} s" if is_numeric_dtype(index) else pd.Timedelta(apart)) if near else None
+    if 2 * apart >= np.min(np.abs(np.diff(index))):
+        return None
+    return f"{apart:.2g} s" if seconds else pd.Timedelta(apart)
 
 
 def check_output_names(names, expected, where):

@@ -318,10 +318,8 @@ def check_motion(facts):
         Of the data of a fit (:mod:`~sklearn_hd._identify.statistics`).
     """
     if facts.still:
-        trimmed = facts.basis.input_trim is not None
-        wave = ", or repeats itself with every turn," if trimmed else ""
         raise ValueError(
-            f"input {facts.still[0]!r} is constant{wave} in the {facts.span()} (changes below "
+            f"input {facts.still[0]!r} is constant in the {facts.span()} (changes below "
             f"{SMALLEST:g} count as zero), so the record does not tell its effect; choose a span "
             f"in which it moves, or drop that input{facts.why_short}"
         )

@@ -317,6 +317,22 @@ def test_inputs_that_never_move_are_named_by_the_fit(spoil, message):
         pipe.fit(X, y)
 
 
+@pytest.mark.filterwarnings("ignore:records begin with outputs at rest at zero")
+def test_a_wave_is_no_excitation_and_an_offset_hides_none(ltp):
+    """Times that are rounded to nanoseconds leave 1e-7 of a wave beside its mean turn."""
+    u, rng = ltp.inputs, np.random.default_rng(0)
+    t = u.index.to_numpy()
+    u = u - u.iloc[0]
+    wave = np.cos(ltp.omega * (t + 1e-9 * rng.standard_normal(len(t))))
+    pipe = make_pipeline(HarmonicAnalyzer(ltp.omega, reading="period"), MOESPRegressor())
+    for loads in (0.0, 5.0 * np.cos(ltp.omega * t)[:, None]):
+        with pytest.raises(ValueError, match=r"input 'v' repeats itself with every turn"):
+            pipe.fit(u.assign(v=wave), ltp.outputs + loads)
+    plain = pipe.fit(u, ltp.outputs)[-1].eigenvalues_
+    offset = pipe.fit(u + 1e6 * u.abs().max(), ltp.outputs)[-1].eigenvalues_
+    np.testing.assert_allclose(np.sort_complex(offset), np.sort_complex(plain), rtol=1e-6)
+
+
 def test_no_inputs_are_a_matter_of_the_next_step():
     X, y = record()
     with pytest.raises(ValueError, match="X has no signals"):

@@ -30,6 +30,7 @@ from sklearn_hd._identify.stages import (
     check_told_from_loads,
     decompose,
     fit_matrices,
+    root_mean_square,
     rows_of_predictor,
     subspace_fit,
 )
@@ -145,9 +146,7 @@ def _identified(data, settings, experiment):
         settings, data, asked_block_rows(data.facts.basis, settings), words=WORDS
     )
     check_motion(data.facts)
-    u = np.vstack(lifted_periods(experiment, experiment.inputs))
-    of_turns = (np.sqrt(np.mean(each**2, axis=(0, 1))) for each in (u, u - u.mean(axis=0)))
-    check_told_from_loads(*of_turns, experiment)
+    _check_told_from_loads(experiment)
     size, scales = data.scales(settings.scale)
     if settings.predictor and settings.block_rows is None:
         i = rows_of_predictor(data, i, size, settings)
@@ -191,6 +190,15 @@ def _identified(data, settings, experiment):
     model = replace(model, at_rest=at_rest, second_order=second_order, opinion=opinion)
     left = _left_of_motion(model, experiment)
     return replace(fit, model=model, forced=forced, doubt=doubt, left=left)
+
+
+def _check_told_from_loads(experiment):
+    """Raise ValueError if an input does the same at every turn, an incomplete one too."""
+    basis, turn = experiment.basis, np.vstack(lifted_periods(experiment, experiment.inputs))
+    mean, segments = turn.mean(axis=0), zip(experiment.inputs, experiment.times(), strict=True)
+    left = root_mean_square([u - mean[basis.phase_index(time)] for u, time in segments])
+    waves = mean if basis.input_trim is None else mean + basis.input_trim
+    check_told_from_loads(waves, left, experiment)
 
 
 def _left_of_motion(model, experiment):

@@ -131,7 +131,9 @@ def read(experiment, settings):
         for u, y, psi in segments
     ]
     u_scale, y_scale = (root_mean_square(parts) for parts in list(zip(*segments, strict=True))[:2])
-    check_told_from_loads(root_mean_square(experiment.drive), u_scale, experiment)
+    turn = basis.input_trim if basis.about_trim else means[0]
+    waves = evaluate_harmonics(turn, np.linspace(0.0, 2.0 * np.pi, 4 * len(turn), endpoint=False))
+    check_told_from_loads(waves, u_scale, experiment)
     taken = basis.output_trim if basis.about_trim else means[1]
     constant = taken.mean(axis=0) if basis.about_trim else taken[0]
     waves = taken - constant if basis.about_trim else taken[1:]

@@ -24,7 +24,7 @@ from sklearn_hd._fit_checks import grows_by
 from sklearn_hd._frame import LTIModel
 from sklearn_hd._guards import warn
 from sklearn_hd._identify.products_cache import KeptSums
-from sklearn_hd.algorithms.linalg.rounding import OVERFLOW
+from sklearn_hd.algorithms.linalg.rounding import EXACT, OVERFLOW
 from sklearn_hd.algorithms.lti.simulation import GROWN
 from sklearn_hd.algorithms.periodic.periodic_predictor import SENSOR_NOISE
 from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN
@@ -395,20 +395,30 @@ def check_outputs_move(still, facts):
         )
 
 
-def check_told_from_loads(whole, left, experiment):
-    """Raise ValueError if an input moves with the turn alone: then loads look the same.
+def check_told_from_loads(waves, left, experiment):
+    """Raise ValueError if an input does the same at every turn: then loads look the same.
 
-    ``whole`` and ``left`` are root mean squares of inputs, and of these beside their mean turn.
+    Parameters
+    ----------
+    waves : ndarray, shape (n, m)
+        Mean turn of the inputs, as measured.
+    left : ndarray, shape (m,)
+        Root mean squares of the inputs beside it.
+    experiment : Experiment
     """
-    of_loads = ", or give load_harmonics below those of the input"
-    way = of_loads if experiment.basis.reading == "sample" else ""
-    for name, size, rest in zip(experiment.basis.input_signals, whole, left, strict=True):
-        if size > 0.0 and rest <= NOTHING * size:
+    constant = waves.mean(axis=0)
+    varies = np.sqrt(np.mean((waves - constant) ** 2, axis=0))
+    # times that are rounded move what varies within a turn, not a constant
+    least, size = np.maximum(NOTHING * varies, EXACT * np.abs(constant)), np.hypot(varies, constant)
+    way = "or drop it"
+    if experiment.basis.reading == "sample":
+        way = "drop it, subtract its rest value, or give load_harmonics below those of the input"
+    for k, name in enumerate(experiment.basis.input_signals):
+        if size[k] > 0.0 and left[k] <= least[k]:
             raise ValueError(
                 f"input {name!r} repeats itself with every turn in the {experiment.span()} (except "
-                f"for {rest / size:.2g} of its size), so its effect cannot be separated from "
-                f"periodic loads; use a record in which it changes from turn to turn, drop it, or "
-                f"subtract its rest value{way}"
+                f"for {left[k] / size[k]:.2g} of its size), so its effect cannot be separated from "
+                f"periodic loads; use a record in which it changes from turn to turn, {way}"
             )
 
 

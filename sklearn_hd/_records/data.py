@@ -28,7 +28,6 @@ from sklearn_hd._guards import warn
 from sklearn_hd._readings import HarmonicBasis, PlainReading, first_difference
 from sklearn_hd._records.amplitudes import small_signal
 from sklearn_hd._records.sampling import Sampling, lay_grid
-from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF
 from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, discrete_to_continuous
 from sklearn_hd.algorithms.signals.fourier import lift, seconds_from_zero_phase
 from sklearn_hd.algorithms.signals.resampling import bridge, unwrap
@@ -337,20 +336,6 @@ def without_trim(blocks, times, basis, trim):
     return [block - basis.waveform(trim, time) for block, time in zip(blocks, times, strict=True)]
 
 
-def _without_rounding(moved, blocks):
-    """Departures of inputs from their trim, zero of those that rounding of times explains.
-
-    An input that repeats itself each turn is at rest: what rounding leaves of it is no excitation.
-    """
-    departures = np.vstack(moved)
-    waves = np.vstack(blocks) - departures
-    constant = waves.mean(axis=0)
-    rounding = HALF * np.max(np.abs(waves - constant), axis=0, initial=0.0)
-    rounding = np.maximum(rounding, EXACT * np.abs(constant))
-    moves = np.max(np.abs(departures), axis=0, initial=0.0) > rounding
-    return moved if moves.all() else [np.where(moves, left, 0.0) for left in moved]
-
-
 def is_decomposed(y):
     """Whether y is a frame of harmonics, as HarmonicAnalyzer makes it."""
     return isinstance(y, HarmonicFrame) and y.is_analysed
@@ -399,8 +384,6 @@ def read_experiment(X, y=None, decomposition=None, plain=PLAIN):
         basis = replace(basis, drive_labels=signals.names, output_labels=output_names)
     times = [sampling.base.time[segment] for segment in sampling.base.segments]
     inputs = without_trim(values, times, basis, basis.input_trim)
-    if basis.input_trim is not None:
-        inputs = _without_rounding(inputs, values)
     drive = [basis.drive(u, time) for u, time in zip(inputs, times, strict=True)]
     if outputs is not None:
         outputs = without_trim(outputs, times, basis, basis.output_trim)

@@ -285,6 +285,7 @@ class Observer:
         ----------
         x0 : array_like, shape (n,), optional
             Estimate of the departure from trim at that sample, before y is known; zero by default.
+            A Series is read by its names.
         covariance : array_like, shape (n, n), optional
             Covariance of its error; gains then follow from it and approach the periodic ones. By
             default the periodic gains are used from the first sample on.

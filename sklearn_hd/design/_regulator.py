@@ -93,7 +93,7 @@ class PeriodicRegulator:
         ValueError
             If x0 does not hold n numbers, or ψ is not finite.
         """
-        x0 = check_state(x0, (), self.system.state_names)
+        x0 = check_state(np.nan if x0 is None else x0, (), self.system.state_names)
         check_numbers("finite", "it is the azimuth ψ in radians", psi=psi)
         if not self.is_stable:
             return np.inf

@@ -58,6 +58,8 @@ def _inverse_square(L, size):
 
     To a digit, which will do beside the tolerance: in single precision.
     """
+    if not len(L):
+        return 0.0
     rows = np.empty(L.shape, np.float32, order="F")
     np.divide(L, size[:, None], out=rows, casting="same_kind")
     inverse, fault = linalg.lapack.strtri(rows, lower=1, overwrite_c=1)

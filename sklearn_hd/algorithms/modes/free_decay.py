@@ -410,7 +410,8 @@ def logarithms(multipliers):
 
 
 def _products(found, share, n_deviations=0.0, of_slower=False):
-    """Which modes are products of others, within a share of their rate or some deviations."""
+    """Which modes are products of others, or of slower ones, within a share of their rate (each its
+    own, perhaps) or some deviations."""
     logs = logarithms(found.multipliers)
     within = np.maximum(share * np.abs(logs.real), found.spread(n_deviations))
     others = logs[:, None].real < logs.real if of_slower else ~np.eye(len(logs), dtype=bool)

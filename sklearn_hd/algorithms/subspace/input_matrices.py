@@ -221,7 +221,7 @@ def _record_factor(A, C, u, y, feedthrough, observe, scales):
     """Triangular factor of the equations [x_0, B, D, y] of one record, chunk by chunk."""
     n, m = len(A), u.shape[1]
     n_columns = n + m * (n + feedthrough * len(C)) + 1
-    chunk = max(256, CHUNK_BYTES // (8 * (y.shape[1] * n_columns + n * n * m)))
+    chunk = max(256, CHUNK_BYTES // (8 * (y.shape[1] * n_columns + n * n * max(m, 1))))
     A_alike, C_alike, size = alike_states(A, C)
     basis = response_basis(A_alike) if observe is None and len(u) > chunk else None
     R, carried = np.zeros((0, n_columns)), None
