@@ -171,6 +171,15 @@ def trimmed_harmonics(coefficients, least=0.0):
     return coefficients[: 2 * highest + 1]
 
 
+def sample_harmonics(coefficients, n_points):
+    """Signals (n, n_points) of given real coefficients (2 N + 1, n) at equal steps of a period."""
+    cosines, sines = coefficients[1::2], coefficients[2::2]
+    spectrum = np.zeros((n_points // 2 + 1, coefficients.shape[1]), dtype=complex)
+    spectrum[0] = coefficients[0]
+    spectrum[1 : len(cosines) + 1] = 0.5 * (cosines - 1j * sines)
+    return n_points * np.fft.irfft(spectrum, n_points, axis=0).T
+
+
 def _check_points(n_points, n_harmonics):
     if n_points is None:
         return max(4096, 128 * n_harmonics)
@@ -184,9 +193,8 @@ def _check_points(n_points, n_harmonics):
 
 def _orbit(omega, X, u, n_points):
     """x, u and t along the iterate, for the vectorised f."""
-    psi = 2.0 * np.pi * np.arange(n_points) / n_points
-    x, t = evaluate_harmonics(X, psi).T, psi / omega
-    return x, np.broadcast_to(u[:, None], (len(u), n_points)), t
+    t = 2.0 * np.pi / omega * np.arange(n_points) / n_points
+    return sample_harmonics(X, n_points), np.broadcast_to(u[:, None], (len(u), n_points)), t
 
 
 def _residual(f, omega, X, u, targets, n_points):
