@@ -148,7 +148,7 @@ def scanned(samples, free, most, cost):
         ends = np.isin(places, places[shallow][[0, -1]]) if shallow.any() else shallow
         some = np.flatnonzero(shallow & (lower | ends))
         minima += [profile[k] for k in some if abs(places[k] - best[place]) > step]
-    return [pair[1] for pair in sorted(minima, key=lambda pair: pair[0])[:5]]  # starts
+    return [pair[1] for pair in sorted(minima, key=lambda pair: pair[0])[:5]]  # to start from
 
 
 def through_cells(cells, fit):

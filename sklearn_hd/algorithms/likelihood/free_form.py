@@ -46,10 +46,7 @@ from sklearn_hd.algorithms.likelihood.search import (
 )
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, EXACT, HALF
 from sklearn_hd.algorithms.linalg.triangular import column_sizes
-from sklearn_hd.algorithms.periodic.harmonic_balance import (
-    product,
-    resize_harmonics,
-)
+from sklearn_hd.algorithms.periodic.harmonic_balance import product, resize_harmonics
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 
 SETTLED = 1e-11  # fall of the cost, a row, that another turn is worth

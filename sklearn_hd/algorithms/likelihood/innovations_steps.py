@@ -34,7 +34,9 @@ from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN, harmonic_func
 FEW_STEPS = 8  # of exact data, whose likelihood has no end, if exponents rest
 MOST_STEPS = 40  # if they do not
 STILL = 0.01  # of a rate, that a step moves no exponent by
-MOST_NUMBERS = 1e7  # sensitivities that second derivatives are made of: they take half a second
+# sensitivities that second derivatives are made of: they take half a second, and are five values of
+# the outputs for each of 1400 coefficients
+MOST_NUMBERS = 1e7
 PIECE = 2.5e5  # of them at once: what a processor keeps at hand
 ENOUGH = 0.1  # fall of −log L, in all, below which parameters move within their deviations
 FIRST_DAMPING = 1e-3  # of the largest eigenvalue of the information
