@@ -152,7 +152,7 @@ def test_samples_identify_their_forced_response():
 
 @pytest.mark.slow
 def test_every_fold_finds_its_own():
-    u, y, _ = machine(60, [8], noise=0.01)
+    u, y, _ = machine(60, [8, 38], noise=0.01)  # each fold leaves a doublet to the fit
     scores = cross_val_score(pipeline(), u, y, cv=PeriodBlockSplit(4, omega=OMEGA))
     assert np.isfinite(scores).all()
 
