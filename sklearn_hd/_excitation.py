@@ -89,7 +89,7 @@ class Excitation:
                 warn(
                     f"the inputs {self._most(each)} move at phases of the period, or in "
                     f"directions, in which the record of the fit shows little of their effect: by "
-                    f"the record alone, the standard deviation of the predicted motion is "
+                    f"the record alone, the standard deviation of the predicted motion may be "
                     f"{f'{doubt:.2g}' if doubt < 1.0 else 'more than all'} of that motion, while "
                     f"the fit left {self.information.left:.2g}; record inputs that change at these "
                     f"phases, too, each by itself, or allow G fewer harmonics",

@@ -156,24 +156,39 @@ def of_multipliers(multipliers, deviations, experiment, way, own):
     return Opinion(exponents, deviations * rate, omega, way, own, longest)
 
 
-def of_halves(exponents, halves, omega, duration, alike=True):
+def of_halves(exponents, halves, omega, duration):
     """The opinion of both halves of a record: the whole's exponents, known as well as the halves
     have one near to each.
 
     Of independent halves with parts f and 1 − f of what the whole knows to within σ,
 
-        λ = f λ_1 + (1 − f) λ_2,    E |λ_1 − λ| |λ_2 − λ| = σ²,
+        λ = f λ_1 + (1 − f) λ_2,
+        E f |λ_1 − λ|² + (1 − f) |λ_2 − λ|² = E |λ_1 − λ| |λ_2 − λ| = σ².
 
-    whatever f is. If they are alike, the mean of their squares is the same, and it is larger where
-    more than chance is between them.
+    The sum is larger where more than chance is between them. It needs the parts, which are as
+    1 / σ_1² and 1 / σ_2².
+
+    Parameters
+    ----------
+    exponents : complex ndarray, shape (n,)
+    halves : list of (complex ndarray, ndarray or None), shapes (n,)
+        Exponents of each, and their standard deviations, None where it has no likelihood. The parts
+        are equal if neither has one.
+    omega, duration : float
     """
-    own = []
-    for half in halves:
+    own, deviations = [], []
+    for half, known in halves:
         shifted = half + 1j * omega * np.round((exponents[:, None] - half).imag / omega)
         rows, columns = linear_sum_assignment(np.abs(exponents[:, None] - shifted))
         own.append(shifted[rows, columns])
-    apart = np.abs(np.array(own) - exponents)
-    spread = np.sqrt(np.mean(apart**2, axis=0) if alike else np.prod(apart, axis=0))
+        deviations.append(None if known is None else known[columns])
+    first, second = np.abs(np.array(own) - exponents)
+    if sum(known is None for known in deviations) == 1:
+        spread = np.sqrt(first * second)
+    else:
+        ratio = 1.0 if deviations[0] is None else deviations[0] / deviations[1]
+        part = 1.0 / (1.0 + ratio**2)
+        spread = np.sqrt(part * first**2 + (1.0 - part) * second**2)
     slowest = np.max(np.real([exponents, *own]), axis=0)
     pair = _conjugates(exponents, omega)  # halves may be near to either of a pair
     spread, slowest = np.hypot(spread, spread[pair]) / 2**0.5, np.maximum(slowest, slowest[pair])

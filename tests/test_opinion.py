@@ -233,26 +233,30 @@ def test_the_opinion_that_doubts_more_is_taken():
     assert more_doubtful(PAIR, None) is None
 
 
+def halves_have(whole, *halves, known=(None, None)):
+    """The opinion of two halves with some exponents, and their deviations."""
+    pairs = zip(map(np.asarray, halves), known, strict=True)
+    return of_halves(whole, list(pairs), 1.0, 500.0)
+
+
 def test_halves_are_told_apart_one_exponent_each():
     """Two exponents of the whole that one of a half explains: the other has no counterpart."""
     whole = np.array([-0.3, -0.33])
-    halves = [np.array([-0.3, -0.9]), np.array([-0.3, -0.8])]
-    found = of_halves(whole, halves, 1.0, 500.0)
+    found = halves_have(whole, [-0.3, -0.9], [-0.3, -0.8])
     assert doubtful(whole, found).tolist() == [False, True]
 
 
 def test_halves_know_both_of_a_pair_alike():
     """Though a real exponent of a half is given to one of them: the pair is one mode."""
     whole = np.append(PAIR, -0.4)
-    halves = [np.append(PAIR, -0.41), np.array([-0.1, PAIR[0], -0.35])]
-    found = of_halves(whole, halves, 1.0, 500.0)
+    found = halves_have(whole, np.append(PAIR, -0.41), [-0.1, PAIR[0], -0.35])
     assert found.deviations[0] == found.deviations[1] > 0.01
     assert found.slowest[0] == found.slowest[1]
     assert doubtful(whole, found)[0] == doubtful(whole, found)[1]
 
 
 def test_halves_that_agree_with_each_other_alone_do_not_confirm():
-    found = of_halves(PAIR, [1.2 * PAIR, 1.2 * PAIR], 1.0, 500.0)
+    found = halves_have(PAIR, 1.2 * PAIR, 1.2 * PAIR)
     np.testing.assert_allclose(found.deviations, 0.2 * np.abs(PAIR))
     assert doubtful(PAIR, found).all()
 
@@ -262,18 +266,29 @@ def test_halves_know_as_much_as_the_whole_whatever_part_each_tells(part):
     """λ = f λ_1 + (1 − f) λ_2: of a variance of 1/f and 1/(1 − f) times that of the whole."""
     apart = 0.01 / np.sqrt(part * (1.0 - part))
     halves = [PAIR + (1.0 - part) * apart, PAIR - part * apart]
-    found = of_halves(PAIR, halves, 1.0, 500.0, alike=False)
-    np.testing.assert_allclose(found.deviations, 0.01)
+    size = np.full(2, 0.01)
+    for known in ([size / part**0.5, size / (1.0 - part) ** 0.5], [None, size]):
+        found = halves_have(PAIR, *halves, known=known)
+        np.testing.assert_allclose(found.deviations, 0.01)
     if part == 0.5:
-        np.testing.assert_allclose(of_halves(PAIR, halves, 1.0, 500.0).deviations, 0.01)
+        np.testing.assert_allclose(halves_have(PAIR, *halves).deviations, 0.01)
+
+
+def test_a_half_that_tells_little_is_asked_little():
+    """A sweep through other frequencies: what is far off there is known to be."""
+    chance, known = 0.3 * PAIR.real, np.full(2, 0.1)
+    found = halves_have(PAIR, PAIR + chance, PAIR * 1.001, known=[100.0 * known, known])
+    assert not doubtful(PAIR, found).any()
+    assert doubtful(PAIR, halves_have(PAIR, PAIR + chance, PAIR * 1.001)).all()
+    found = halves_have(PAIR, PAIR * 1.001, PAIR + chance, known=[100.0 * known, known])
+    assert doubtful(PAIR, found).all()
 
 
 @pytest.mark.parametrize(("slower", "doubted"), [(-8.0, False), (-1.5, False), (-0.5, True)])
 def test_a_mode_that_every_half_forgets_within_a_turn_is_not_judged(slower, doubted):
     """How fast it is, halves do not know; whether it lasts, they do (1e-3 are -1.1 at ω = 1)."""
     whole = np.append(PAIR, -3.0)
-    halves = [np.append(PAIR, -9.0), np.append(PAIR, slower)]
-    found = of_halves(whole, halves, 1.0, 500.0)
+    found = halves_have(whole, np.append(PAIR, -9.0), np.append(PAIR, slower))
     assert doubtful(whole, found).tolist() == [False, False, doubted]
     assert found.of(whole[::-1], "they have").slowest is None  # of these, in this order
     assert not len(replace(found, exponents=whole[:0]).judges(whole[:0]))

@@ -471,12 +471,13 @@ def _of_halves(model, whole, chosen, refined):
     least = layout.n_columns + len(ends) * layout.n_lags
     middle = np.searchsorted(motion, 0.5 * motion[-1])
     middle = int(np.clip(middle, min(least, ends[-1] // 2), max(ends[-1] - least, ends[-1] // 2)))
-    halves, exponents, stepped = [[], []], [], set()
+    halves, found = [[], []], []
     for segment, stop in zip(data.segments, ends, strict=True):
         cut = int(np.clip(middle - (stop - len(segment[1])), 0, len(segment[1])))
         for half, rows in zip(halves, (slice(0, cut), slice(cut, None)), strict=True):
             part = tuple(z[rows] for z in segment)
             half += [part] if len(part[1]) > 2 * layout.n_lags else []
+    omega = whole.basis.omega
     for segments in halves:
         if rows_told(replace(data, segments=segments), layout.n_lags) < layout.n_columns:
             return None
@@ -485,12 +486,12 @@ def _of_halves(model, whole, chosen, refined):
         sums = LagSums.of(segments, layout)
         choice = Choice(half, sums, fixed, whole.basis, whole.steps)
         choice.best()  # of that order: its coordinates
-        found = choice.model(choice.sums(chosen.order), chosen.n_harmonics)
-        found = choice.refined(found, chosen.stable, refined)
-        stepped.add(found.ahead is not None)
-        exponents.append(replace(model, innovations=found.innovations).exponents())
-    omega, alike = whole.basis.omega, len(stepped) == 1
-    return of_halves(model.exponents(), exponents, omega, data.duration(omega), alike)
+        one = choice.model(choice.sums(chosen.order), chosen.n_harmonics)
+        one = choice.refined(one, chosen.stable, refined)
+        exponents = replace(model, innovations=one.innovations).exponents()
+        known = None if one.ahead is None else _ahead(one.ahead, data, omega).beside(exponents)[1]
+        found.append((exponents, known))
+    return of_halves(model.exponents(), found, omega, data.duration(omega))
 
 
 def _of_its_likelihood(refined, data, omega):
@@ -501,21 +502,23 @@ def _of_its_likelihood(refined, data, omega):
     Products of degrees that did not pay, or are too many, have a word where chance does not
     explain them.
     """
-
-    def of(ahead, way, **more):
-        own = (omega / (2.0 * np.pi) * each for each in ahead)
-        return Opinion(*own, omega, way, duration=data.duration(omega), **more)
-
     small = refined.small
     if small is not None:
-        yield of(refined.ahead, "small motions have", own=True, of_small_motions=True)
+        way = "small motions have"
+        yield _ahead(refined.ahead, data, omega, way, own=True, of_small_motions=True)
         if small.of_smaller is not None:
             way = "the smaller motions of the record have"
-            yield of(small.of_smaller, way, of_small_motions=True)
+            yield _ahead(small.of_smaller, data, omega, way, of_small_motions=True)
     elif refined.ahead is not None:
-        yield of(refined.ahead, "a further step of its likelihood has")
+        yield _ahead(refined.ahead, data, omega, "a further step of its likelihood has")
     degrees, beside, _ = refined.beside
     if beside is not None and beside.beyond > STANDARD_ERRORS:
         which = " and ".join(POWERS[degree] for degree in degrees)
         way = f"its likelihood beside {which} of the motion has"
-        yield of(beside.ahead, way, own=True, of_small_motions=True)
+        yield _ahead(beside.ahead, data, omega, way, own=True, of_small_motions=True)
+
+
+def _ahead(ahead, data, omega, way="", **more):
+    """The opinion of a further step, which has logarithms of multipliers and their deviations."""
+    exponents, deviations = (omega / (2.0 * np.pi) * each for each in ahead)
+    return Opinion(exponents, deviations, omega, way, duration=data.duration(omega), **more)
