@@ -56,6 +56,7 @@ from sklearn_hd.algorithms.modes.families import (
     residual,
     unit_regressors,
 )
+from sklearn_hd.algorithms.periodic.multipliers import LASTING
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
@@ -278,7 +279,10 @@ def verdicts(modes, choice, opinion=None):
 
 
 def judge(verdicts, reasons, exponents, kept, opinion):
-    """Change the verdicts of modes kept that a second opinion does not confirm."""
+    """Change the verdicts of modes kept that a second opinion does not confirm.
+
+    The reasons of those that it does not judge say so.
+    """
     exponents = exponents[kept]
     doubt, still = doubtful(exponents, opinion), unchanging(exponents, opinion)
     second = of_second_order(exponents, exponents[~doubt], opinion)
@@ -287,6 +291,8 @@ def judge(verdicts, reasons, exponents, kept, opinion):
         verdicts[i] = "second-order" if second[k] else "ambiguous"
         against = what_it_has(exponents, opinion, k)
         reasons[i] = f"{known}: {'it does not change within the record' if still[k] else against}"
+    for i in kept[~opinion.judges(exponents)]:
+        reasons[i] += f"; a turn leaves less than {LASTING:g} of it: its rate is not judged"
 
 
 def mode_table(exponents, families, verdicts, reasons):

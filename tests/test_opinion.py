@@ -33,6 +33,7 @@ from sklearn_hd._opinion import (
     unchanging,
 )
 from sklearn_hd._records.data import read_experiment
+from sklearn_hd._reduce import judge
 from sklearn_hd.algorithms.periodic.harmonic_balance import resize_harmonics
 from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.matching import _warn_of_moves
@@ -224,6 +225,15 @@ def test_the_square_of_a_motion_is_known_by_its_exponent():
 
 def test_what_a_turn_forgets_is_not_judged():
     assert not doubtful(np.array([-3.0]), opinion([-9.0], 1e-3)).any()
+
+
+def test_the_table_says_which_rates_are_not_judged():
+    exponents = np.append(PAIR, -3.0)
+    verdicts, reasons = ["genuine"] * 3, ["needed"] * 3
+    judge(verdicts, reasons, exponents, np.arange(3), opinion(exponents, 1e-3))
+    assert verdicts == ["genuine"] * 3
+    unjudged = "needed; a turn leaves less than 0.001 of it: its rate is not judged"
+    assert reasons == ["needed", "needed", unjudged]
 
 
 def test_the_opinion_that_doubts_more_is_taken():
