@@ -18,18 +18,26 @@ from scipy.signal import welch
 from scipy.stats import chi2
 
 from sklearn_hd._guards import searches, warn
+from sklearn_hd._readings.sample import MOST_LOADS
 from sklearn_hd._records.data import lifted_periods
 from sklearn_hd.algorithms.likelihood.likelihood import eliminate_states, updated_factor
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, HALF
 from sklearn_hd.algorithms.linalg.triangular import column_sizes
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_innovations import input_slopes
-from sklearn_hd.algorithms.signals.fourier import AT_ONCE, InputDirections, harmonic_functions
+from sklearn_hd.algorithms.signals.fourier import (
+    AT_ONCE,
+    InputDirections,
+    fitted_harmonics,
+    harmonic_functions,
+)
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 
 MOST_OUTSIDE = 1e-3  # of the inputs' energy within the period
 NOISE = 1e-4  # of it, which may be noise
 NOTABLE = 1e-2  # of the motion predicted, below which its standard deviation is no matter
 MOST_OFF = 0.1  # of the motion predicted, that the orbit may be off by
+LEAST_TURNS = 4  # in which a waveform that repeats itself is told from motion
 LARGEST = 1e10  # operations: of longer records, and wider models, nothing is said
 N_STRETCHES = 8  # of a segment, half over each other, whose periodograms are averaged
 BY_CHANCE = 0.01  # of spectra of white noise have a larger peak than is taken for none
@@ -203,6 +211,37 @@ def warn_of_orbit(simulators, outputs):
             f"{motion[most]:.2g} (root mean squares): noise hides this orbit, or large motions "
             f"have shifted it; take only differences of predictions, or fit a longer record, "
             f"smaller motions, or one with turns at rest",
+            IdentifiabilityWarning,
+        )
+
+
+def warn_of_another_orbit(measured, simulated, psi, names):
+    """Warn of a record of which another orbit than the model's is more than its motion about that.
+
+    Parameters
+    ----------
+    measured, simulated : ndarray, shape (n_samples, l)
+        About the model's orbit.
+    psi : ndarray, shape (n_samples,)
+        Azimuths, rad.
+    names : list of str
+        Of the outputs.
+    """
+    n_turns = np.ptp(psi) / (2.0 * np.pi)
+    if n_turns < LEAST_TURNS or any(searches()):
+        return
+    n_harmonics = min(MOST_LOADS, max(0, int((len(psi) / n_turns - 1.0) / 2.0)))
+    left = measured - simulated
+    apart = evaluate_harmonics(fitted_harmonics([(left, psi)], n_harmonics), psi)
+    apart, motion = (np.sqrt(np.mean(each**2, axis=0)) for each in (apart, measured - apart))
+    share = apart / np.where(motion > 0.0, motion, np.inf)
+    most = int(np.argmax(share))
+    if share[most] > 1.0:
+        warn(
+            f"the record scored is about another orbit than the model: in {names[most]!r} they are "
+            f"{apart[most]:.2g} apart, and the motion about them is {motion[most]:.2g} (root mean "
+            f"squares); check the units, signs and order of its outputs, and its times (or "
+            f"azimuth), whose zero has to be at the same phase as at fit; or its trim is another",
             IdentifiabilityWarning,
         )
 

@@ -348,6 +348,8 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         -----
         ExcitationWarning
             As ``predict``; not within a search or a cross-validation.
+        IdentifiabilityWarning
+            Likewise, of a record about another orbit than the model's, and of one as ``predict``.
         """
         check_is_fitted(self)
         check_outputs_given(y)

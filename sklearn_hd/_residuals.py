@@ -372,6 +372,6 @@ def why_incomplete(model, experiment, simulators):
     return (
         f"what a simulation leaves goes with inputs of the last {TURNS_BACK} turns: the test gives "
         f"{test['statistic']:.4g} instead of {test['degrees']:.0f} for noise, {test['share']:.2g} "
-        f"of what is left; states are missing, or the response is not linear: raise order=, use "
-        f"smaller motions, and see residual_tests"
+        f"of what is left; states are missing, an output is late, or the response is not linear: "
+        f"raise order=, give output_delay=, use smaller motions, and see residual_tests"
     )

@@ -12,6 +12,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._checks import check_weight
 from sklearn_hd._containers import without_inputs
+from sklearn_hd._excitation import warn_of_another_orbit
 from sklearn_hd._frame import SampleSimulator
 from sklearn_hd._guards import extremes, warn
 from sklearn_hd._readings import highest_harmonic
@@ -430,6 +431,9 @@ def scored_simulation(step, X, y, horizon=None):
     truth, simulated = (np.asfortranarray(joined(parts)) for parts in (truth, simulated))
     rows, forced = joined(rows), joined(forced)  # by columns, which are quick to sum
     _meet_at_rest(truth, simulated, experiment.measured[rows])
+    if experiment.basis.harmonic:
+        psi = experiment.basis.omega * sampling.clock[rows]
+        warn_of_another_orbit(truth, simulated, psi, simulators[0].model.output_names)
     return truth, simulated, rows, forced
 
 

@@ -397,3 +397,46 @@ def test_harmonics_that_coordinates_bring_need_no_record():
     with pytest.warns(CoordinatesWarning):
         few.fit(*held_steps(0))
     assert few["match"]._excitation.n_harmonics == 0  # a structure that allows fewer keeps its own
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """A model of an oscillator about an orbit that is larger than its motion; the record."""
+    u, y = record(2)
+    orbit = 2.0 + np.cos(y.index.to_numpy()[:, None] + [0.0, 0.5])
+    y = y + 3.0 * y.std().to_numpy() * orbit
+    return fitted(pipeline("sample", 2).set_params(harmonics__trim_span="auto"), (u, y)), u, y
+
+
+OTHER_ORBIT = "the record scored is about another orbit than the model: in '[^']*' they are"
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        lambda y: np.pi / 180.0 * y,
+        lambda y: -y,
+        lambda y: y.set_axis(y.index + 1.0),
+        lambda y: y[["y1", "y0"]].set_axis(["y0", "y1"], axis=1),
+        lambda y: y.assign(y1=y["y1"] + 5.0 * y["y1"].std()),
+    ],
+    ids=["units", "sign", "clock", "swapped", "trim"],
+)
+def test_a_record_about_another_orbit_is_told(flown, other):
+    pipe, u, y = flown
+    assert pipe.score(u, y) > 0.999
+    y = other(y)
+    with pytest.warns(IdentifiabilityWarning, match=OTHER_ORBIT):
+        score = pipe.score(u.set_axis(y.index), y)
+    assert score < 0.6
+
+
+def test_few_turns_and_searches_tell_of_no_orbit(flown):
+    pipe, u, y = flown
+    assert pipe.score(u[: 5 * SPP], -y[: 5 * SPP]) < 0.6  # of which warm-up takes some
+    with pytest.warns(IdentifiabilityWarning, match=OTHER_ORBIT):
+        pipe.score(u[: 12 * SPP], -y[: 12 * SPP])
+    first, later = np.array_split(np.arange(len(u)), 2)
+    other = pd.concat([y.iloc[first], -y.iloc[later]])
+    search = GridSearchCV(pipe, {"identify__order": [2]}, cv=[(first, later)], refit=False)
+    assert search.fit(u, other).cv_results_["mean_test_score"][0] < 0.6

@@ -364,8 +364,9 @@ def _or_stable(found, reason, tried):
     warn(
         f"a model of {found.chosen.order} states explains the record best, but it is in doubt, and "
         f"it grows by e^{growth:.0f} over the longest segment, which no record in open loop does: "
-        f"the best stable model takes its place; use smaller motions, give order=, or use "
-        f"weighting='pbsid' if feedback held the machine",
+        f"the best stable model takes its place; use smaller motions or give order=; if feedback "
+        f"held the machine, give order=, weighting='pbsid', and criterion='prediction_error' in "
+        f"StructuredMatcher",
         InstabilityWarning,
     )
     return stable

@@ -89,6 +89,7 @@ def measured_speed(segments, omega, n_harmonics):
     speed : Speed or None
         None where the record tells no other speed.
     """
+    n_harmonics = _below_half_of_rate(segments, omega, n_harmonics)
     sought = _sought(segments, omega, n_harmonics)
     if sought is None:
         return None
@@ -118,6 +119,7 @@ def orbit_speed(segments, omega, n_harmonics, *, span=0.0):
         rad/s. None where the record shows no orbit. If half of the record contradicts the orbit's
         speed: the speed as given, and the distance between both as its deviation.
     """
+    n_harmonics = _below_half_of_rate(segments, omega, n_harmonics)
     sought = _sought(segments, omega, n_harmonics, span)
     if sought is None or not np.isfinite(sought[2].std):
         return None
@@ -201,6 +203,18 @@ def orbit_share(segments, omega, n_harmonics):
         rest, moved = y[half] - X[half] @ waveform, y[half] - y[half].mean(axis=0)
         shares.append(1.0 - np.sum(rest**2, axis=0) / _energy(moved))
     return float(np.max(np.min(shares, axis=0)))
+
+
+def _below_half_of_rate(segments, omega, n_harmonics):
+    """As many harmonics as the samples tell from their images about half the sampling rate.
+
+    One that is so near to it that both do not part within the record has a phase that nothing
+    tells, from which a speed would seem to be known.
+    """
+    step = min((time[1] - time[0] for *_, time in segments if len(time) > 1), default=0.0)
+    turns = max(_span(segments) * omega / (2.0 * np.pi), 1.0)
+    samples = 2.0 * np.pi / (omega * step) if step > 0.0 else np.inf
+    return n_harmonics if np.isinf(samples) else min(n_harmonics, int(0.5 * (samples - 1 / turns)))
 
 
 def _sought(segments, omega, n_harmonics, span=0.0):
