@@ -226,8 +226,8 @@ def _check_sample_time(given, found, uncertainty):
         raise ValueError(
             f"sample_time={given:.6g} s, but the rows of the index are {found:.6g} s apart; "
             f"leave sample_time at None if you gave it; if it is the clock of the data at fit, "
-            f"resample X, use simulate of ltp_, or fit with reading='sample', whose models are "
-            f"predicted at any clock"
+            f"give times in seconds, resample X, use simulate of ltp_, or fit with "
+            f"HarmonicAnalyzer(reading='sample'), whose models are predicted at any clock"
         )
 
 

@@ -282,7 +282,7 @@ def test_a_drift_is_told_from_an_offset(change):
     assert found.omega == pytest.approx(2 * np.pi, rel=1e-4)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 3, 7])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 3, 7))])
 def test_inputs_with_many_lines_are_no_half_or_third_of_a_frequency(seed):
     """Their lines make the comb of 2π/2, or 2π/3, the strongest; the orbit has that of 2π."""
     rng, psi = np.random.default_rng(seed), 2 * np.pi * 0.08 * np.arange(2500)
@@ -348,7 +348,14 @@ def test_a_speed_that_no_part_has_is_told():
     assert abs(found.omega - 5.0) < 2.0 * found.std
 
 
-@pytest.mark.parametrize("others", [(5.0, 5.3), (5.0, 5.02, 4.8), (5.0, 5.0, 5.45)])
+@pytest.mark.parametrize(
+    "others",
+    [
+        (5.0, 5.3),
+        pytest.param((5.0, 5.02, 4.8), marks=pytest.mark.slow),
+        pytest.param((5.0, 5.0, 5.45), marks=pytest.mark.slow),
+    ],
+)
 def test_records_with_speeds_of_their_own_are_told(others):
     """By the estimate and by a fit; each is named."""
     pairs = [beside_resonance(omega, seed, 0.5) for seed, omega in enumerate(others)]

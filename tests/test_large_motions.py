@@ -119,7 +119,7 @@ def error(model):
     [
         (0.0, 0.01, 0.01, None),
         (0.6, 0.01, 0.01, 3),
-        (0.0, 0.0, 1e-4, None),
+        pytest.param(0.0, 0.0, 1e-4, None, marks=pytest.mark.slow),
         pytest.param(0.6, 0.0, 2e-3, 3, marks=pytest.mark.slow),
     ],
 )

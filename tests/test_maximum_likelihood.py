@@ -266,7 +266,9 @@ def test_noise_on_harmonics_of_the_inputs_is_not_that_of_the_inputs():
         pipe.set_params(harmonics__input_harmonics=1).fit(data.inputs, data.outputs)
 
 
-@pytest.mark.parametrize("criterion", ["output_error", "prediction_error"])
+@pytest.mark.parametrize(
+    "criterion", [pytest.param("output_error", marks=pytest.mark.slow), "prediction_error"]
+)
 def test_all_entries_are_free_behind_a_reducer_too(criterion):
     rng = np.random.default_rng(2)
     u = pd.DataFrame({"u": np.repeat(rng.choice([-1.0, 1.0], 100), 10)}, 0.05 * np.arange(1000))
