@@ -25,6 +25,7 @@ from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, HALF
 from sklearn_hd.algorithms.linalg.triangular import column_sizes
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_innovations import input_slopes
+from sklearn_hd.algorithms.periodic.speed import orbit_share
 from sklearn_hd.algorithms.signals.fourier import (
     AT_ONCE,
     InputDirections,
@@ -38,6 +39,7 @@ NOISE = 1e-4  # of it, which may be noise
 NOTABLE = 1e-2  # of the motion predicted, below which its standard deviation is no matter
 MOST_OFF = 0.1  # of the motion predicted, that the orbit may be off by
 LEAST_TURNS = 4  # in which a waveform that repeats itself is told from motion
+MOST_OF_REST = 0.5  # of what a simulation leaves
 LARGEST = 1e10  # operations: of longer records, and wider models, nothing is said
 N_STRETCHES = 8  # of a segment, half over each other, whose periodograms are averaged
 BY_CHANCE = 0.01  # of spectra of white noise have a larger peak than is taken for none
@@ -215,35 +217,47 @@ def warn_of_orbit(simulators, outputs):
         )
 
 
-def warn_of_another_orbit(measured, simulated, psi, names):
-    """Warn of a record of which another orbit than the model's is more than its motion about that.
+def warn_of_another_orbit(measured, simulated, at_rows, time, experiment):
+    """Warn if a record repeats with every turn what the model does not.
+
+    That is most of what the simulation leaves, more than the motion, and a notable part of the
+    orbit itself. Means do not count: a bad model leaves them, too.
 
     Parameters
     ----------
     measured, simulated : ndarray, shape (n_samples, l)
-        About the model's orbit.
-    psi : ndarray, shape (n_samples,)
-        Azimuths, rad.
-    names : list of str
-        Of the outputs.
+        Without the model's orbit.
+    at_rows : ndarray, shape (n_samples, l)
+        As measured.
+    time : ndarray, shape (n_samples,)
+        Of the experiment's grid, seconds.
+    experiment : Experiment
     """
-    n_turns = np.ptp(psi) / (2.0 * np.pi)
-    if n_turns < LEAST_TURNS or any(searches()):
+    basis, unit = experiment.basis, np.max(np.abs(at_rows))
+    few = len(time) < LEAST_TURNS * basis.samples_per_period
+    if few or any(searches()) or not 0.0 < unit < np.inf:
         return
-    n_harmonics = min(MOST_LOADS, max(0, int((len(psi) / n_turns - 1.0) / 2.0)))
-    left = measured - simulated
-    apart = evaluate_harmonics(fitted_harmonics([(left, psi)], n_harmonics), psi)
-    apart, motion = (np.sqrt(np.mean(each**2, axis=0)) for each in (apart, measured - apart))
-    share = apart / np.where(motion > 0.0, motion, np.inf)
-    most = int(np.argmax(share))
-    if share[most] > 1.0:
+    if not np.max(np.abs(simulated)) <= TOO_LARGE * unit:
+        return
+    n_harmonics = min(MOST_LOADS, int(0.5 * (basis.samples_per_period - 1)))
+    left, psi = (measured - simulated) / unit, basis.azimuth(time)
+    waves = fitted_harmonics([(np.hstack([left, at_rows / unit]), psi)], n_harmonics)
+    waves[0] = 0.0
+    apart, orbit = np.hsplit(evaluate_harmonics(waves, psi), 2)
+    motion = measured / unit - apart
+    apart, orbit, motion = (np.std(each, axis=0) for each in (apart, orbit, motion))
+    for k in np.flatnonzero(apart > np.maximum(motion, MOST_OFF * orbit)):
+        if orbit_share([(None, left[:, [k]], time)], basis.omega, n_harmonics) < MOST_OF_REST:
+            continue
         warn(
-            f"the record scored is about another orbit than the model: in {names[most]!r} they are "
-            f"{apart[most]:.2g} apart, and the motion about them is {motion[most]:.2g} (root mean "
-            f"squares); check the units, signs and order of its outputs, and its times (or "
-            f"azimuth), whose zero has to be at the same phase as at fit; or its trim is another",
+            f"the output {experiment.output_names[k]!r} of the record scored repeats with every "
+            f"turn what the model does not: {unit * apart[k]:.2g}, beside a motion of "
+            f"{unit * motion[k]:.2g} (standard deviations); its orbit may be another: check its "
+            f"unit and sign, the order of the outputs, and the times (or azimuth), whose zero has "
+            f"to be at the same phase as at fit",
             IdentifiabilityWarning,
         )
+        break
 
 
 def _inputs_move(simulator):

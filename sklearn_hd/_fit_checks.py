@@ -19,7 +19,6 @@ from sklearn_hd.exceptions import (
 HALF_KEPT = 0.5  # of what neighbouring samples share, that rows read have to
 LINES = 20  # harmonics of an orbit that are looked for
 MOST_OF_IT = 0.5  # of an output's variance
-UNITS = (("Hz", 2.0 * np.pi, "2π"), ("rpm", 2.0 * np.pi / 60.0, "2π/60"))  # not rad/s
 LOST = 1e8  # times growth beside which rounding leaves half of the digits of what decays
 MIN_PERIODS = 6  # to see a rate in
 CALM = 1e6  # times growth that leaves most of them
@@ -47,7 +46,7 @@ def warn_of_mismatch(experiment):
     basis = experiment.basis
     if not basis.harmonic or basis.timing.azimuth is not None or searching():
         return False
-    if _warn_of_units(experiment):
+    if _warn_of_hertz(experiment):
         return True
     outputs, trim = experiment.outputs, experiment.output_trim()
     if trim is not None and basis.small_signal is None:
@@ -69,31 +68,29 @@ def warn_of_mismatch(experiment):
     return True
 
 
-def _warn_of_units(experiment):
-    """Warn if most of an output is an orbit as omega in Hz or rpm has it, and return whether."""
+def _warn_of_hertz(experiment):
+    """Warn if most of an output is an orbit of 2π times omega, and return whether."""
     piece = max(experiment.sampling.pieces, key=lambda piece: len(piece.places))
     rows, omega = slice(0, MOST_ROWS), experiment.basis.omega
     y, places = np.nan_to_num(experiment.measured[piece.rows][rows]), piece.places[rows]
-    for unit, factor, words in UNITS:
-        if (places[-1] - places[0]) * omega * min(factor, 1.0) < 2.0 * np.pi * FEWEST:
-            continue  # any few waves make a short record
-        there = _share_in_lines(y, places, factor * omega)
-        if not np.any(there > MOST_OF_IT):
-            continue
-        here = _share_in_lines(y, places, omega)
-        told = (there > MOST_OF_IT) & (here < there / 2.0)
-        if told.any():
-            k = int(np.argmax(np.where(told, there, 0.0)))
-            name = experiment.output_names[k]
-            warn(
-                f"{there[k]:.0%} of the variance of the output {name!r} has the frequency "
-                f"{factor * omega:.6g} rad/s and its harmonics, {words} times omega={omega:.6g}, "
-                f"and {max(here[k], 0.0):.0%} has that of omega: omega is in rad/s; if it was "
-                f"given in {unit}, multiply it by {words}",
-                FrequencyMismatchWarning,
-            )
-            return True
-    return False
+    if (places[-1] - places[0]) * omega < 2.0 * np.pi * FEWEST:
+        return False  # any few waves make a short record
+    there = _share_in_lines(y, places, 2.0 * np.pi * omega)
+    if not np.any(there > MOST_OF_IT):
+        return False
+    here = _share_in_lines(y, places, omega)
+    told = (there > MOST_OF_IT) & (here < there / 2.0)
+    if not told.any():
+        return False
+    k = int(np.argmax(np.where(told, there, 0.0)))
+    warn(
+        f"{there[k]:.0%} of the variance of the output {experiment.output_names[k]!r} has the "
+        f"frequency {2.0 * np.pi * omega:.6g} rad/s and its harmonics, 2π times omega={omega:.6g}, "
+        f"and {max(here[k], 0.0):.0%} has that of omega: omega is in rad/s; if it was given in Hz, "
+        f"multiply it by 2π",
+        FrequencyMismatchWarning,
+    )
+    return True
 
 
 def _share_in_lines(y, places, omega):

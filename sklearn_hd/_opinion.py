@@ -165,8 +165,8 @@ def of_halves(exponents, halves, omega, duration):
         λ = f λ_1 + (1 − f) λ_2,
         E f |λ_1 − λ|² + (1 − f) |λ_2 − λ|² = E |λ_1 − λ| |λ_2 − λ| = σ².
 
-    The sum is larger where more than chance is between them. It needs the parts, which are as
-    1 / σ_1² and 1 / σ_2².
+    Both are larger where more than chance is between them, and the larger counts. The first needs
+    the parts, which are as 1 / σ_1² and 1 / σ_2².
 
     Parameters
     ----------
@@ -183,12 +183,15 @@ def of_halves(exponents, halves, omega, duration):
         own.append(shifted[rows, columns])
         deviations.append(None if known is None else known[columns])
     first, second = np.abs(np.array(own) - exponents)
-    if sum(known is None for known in deviations) == 1:
-        spread = np.sqrt(first * second)
-    else:
-        ratio = 1.0 if deviations[0] is None else deviations[0] / deviations[1]
-        part = 1.0 / (1.0 + ratio**2)
-        spread = np.sqrt(part * first**2 + (1.0 - part) * second**2)
+    squares = first * second
+    if sum(known is None for known in deviations) != 1:
+        part = 0.5
+        if deviations[0] is not None:
+            with np.errstate(all="ignore"):
+                part = 1.0 / (1.0 + (deviations[0] / deviations[1]) ** 2)
+            part = np.nan_to_num(part, nan=0.5)  # of two that tell nothing
+        squares = np.maximum(squares, part * first**2 + (1.0 - part) * second**2)
+    spread = np.sqrt(squares)
     slowest = np.max(np.real([exponents, *own]), axis=0)
     pair = _conjugates(exponents, omega)  # halves may be near to either of a pair
     spread, slowest = np.hypot(spread, spread[pair]) / 2**0.5, np.maximum(slowest, slowest[pair])

@@ -393,7 +393,7 @@ def scored_simulation(step, X, y, horizon=None):
     check_is_fitted(step)
     experiment = step._experiment(without_inputs(y) if X is None else X, y)
     trim, sampling = experiment.output_trim_at_rows(), experiment.sampling
-    truth, simulated, rows, forced = [], [], [], []
+    truth, simulated, rows, forced, places = [], [], [], [], []
     simulators = step._simulators(experiment)
     step._warn_of_inputs(experiment, simulators)
     samples = (step._samples_late if horizon is None else step._samples_ahead)(experiment)
@@ -423,6 +423,7 @@ def scored_simulation(step, X, y, horizon=None):
         simulated.append(piece.back(outputs - on_grid)[within])
         forced.append(loads[within])
         rows.append(own + piece.rows.start)
+        places.append(piece.places[own])
     if not truth:
         raise ValueError(
             f"no rows are left to score in {experiment.span()}: every segment is shorter than "
@@ -431,9 +432,9 @@ def scored_simulation(step, X, y, horizon=None):
     truth, simulated = (np.asfortranarray(joined(parts)) for parts in (truth, simulated))
     rows, forced = joined(rows), joined(forced)  # by columns, which are quick to sum
     _meet_at_rest(truth, simulated, experiment.measured[rows])
-    if experiment.basis.harmonic:
-        psi = experiment.basis.omega * sampling.clock[rows]
-        warn_of_another_orbit(truth, simulated, psi, simulators[0].model.output_names)
+    if experiment.basis.harmonic and not step.predicts_harmonics_:
+        at_rows = experiment.measured[rows]
+        warn_of_another_orbit(truth, simulated, at_rows, joined(places), experiment)
     return truth, simulated, rows, forced
 
 

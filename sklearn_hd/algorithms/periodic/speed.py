@@ -89,11 +89,10 @@ def measured_speed(segments, omega, n_harmonics):
     speed : Speed or None
         None where the record tells no other speed.
     """
-    n_harmonics = _below_half_of_rate(segments, omega, n_harmonics)
     sought = _sought(segments, omega, n_harmonics)
     if sought is None:
         return None
-    segments, given, found = sought
+    segments, given, found, n_harmonics = sought
     n_rows = sum(len(y) for _, y, _ in segments)
     off, std = found.omega / omega - 1.0, found.std
     enough = max(BEYOND**2, WORTH * n_rows)
@@ -119,11 +118,10 @@ def orbit_speed(segments, omega, n_harmonics, *, span=0.0):
         rad/s. None where the record shows no orbit. If half of the record contradicts the orbit's
         speed: the speed as given, and the distance between both as its deviation.
     """
-    n_harmonics = _below_half_of_rate(segments, omega, n_harmonics)
     sought = _sought(segments, omega, n_harmonics, span)
     if sought is None or not np.isfinite(sought[2].std):
         return None
-    segments, given, found = sought
+    segments, given, found, n_harmonics = sought
     off = abs(found.omega / omega - 1.0)
     far = off > BEYOND * found.std
     if far and not _is_of_halves(segments, given, found, n_harmonics):
@@ -205,40 +203,49 @@ def orbit_share(segments, omega, n_harmonics):
     return float(np.max(np.min(shares, axis=0)))
 
 
-def _below_half_of_rate(segments, omega, n_harmonics):
-    """As many harmonics as the samples tell from their images about half the sampling rate.
-
-    One that is so near to it that both do not part within the record has a phase that nothing
-    tells, from which a speed would seem to be known.
-    """
-    step = min((time[1] - time[0] for *_, time in segments if len(time) > 1), default=0.0)
-    turns = max(_span(segments) * omega / (2.0 * np.pi), 1.0)
-    samples = 2.0 * np.pi / (omega * step) if step > 0.0 else np.inf
-    return n_harmonics if np.isinf(samples) else min(n_harmonics, int(0.5 * (samples - 1 / turns)))
-
-
 def _sought(segments, omega, n_harmonics, span=0.0):
-    """Segments as they are read, predictors at some speed and at that of the orbit; or None."""
-    segments = _alike(_some_rows(segments))
-    layout = _layout(segments, n_harmonics)
-    turns = _span(segments) * omega / (2.0 * np.pi)
+    """Segments as they are read, predictors at some speed and at that of the orbit; or None.
+
+    And the harmonics of both: as many as the samples tell at either speed.
+    """
+    n_harmonics = min(n_harmonics, _harmonics_told(segments, omega))
+    told = _alike(_some_rows(segments))
+    layout = _layout(told, n_harmonics)
+    turns = _span(told) * omega / (2.0 * np.pi)
     if n_harmonics < 1 or layout is None or turns < LEAST_TURNS:
         return None
-    given = _Predicted.of(segments, omega, layout)
-    starts = {omega, _strongest(segments, omega, n_harmonics, span)}
-    starts |= {_along_waveform(segments, each, n_harmonics) for each in starts}
-    start = max(sorted(starts), key=lambda each: orbit_share(segments, each, n_harmonics))
-    found = given if start == omega else _Predicted.of(segments, start, layout)
+    given = _Predicted.of(told, omega, layout)
+    starts = {omega, _strongest(told, omega, n_harmonics, span)}
+    starts |= {_along_waveform(told, each, n_harmonics) for each in starts}
+    start = max(sorted(starts), key=lambda each: orbit_share(told, each, n_harmonics))
+    found = given if start == omega else _Predicted.of(told, start, layout)
     for _ in range(MOST_STEPS):
         if not abs(found.t) > 1.0:
             break
-        ahead = _Predicted.of(segments, found.omega * (1.0 + found.drift), layout)
+        ahead = _Predicted.of(told, found.omega * (1.0 + found.drift), layout)
         if not ahead.left < found.left:
             break
         found = ahead
-    if orbit_share(segments, found.omega, n_harmonics) < ORBIT:
+    fewer = _harmonics_told(segments, found.omega)
+    if fewer < n_harmonics:
+        return _sought(segments, omega, fewer, span)
+    if orbit_share(told, found.omega, n_harmonics) < ORBIT:
         return None
-    return segments, given, found
+    return told, given, found, n_harmonics
+
+
+def _harmonics_told(segments, omega):
+    """How many harmonics samples tell from their images about half the sampling rate.
+
+    A harmonic and its image that do not part within the record have phases that nothing tells; a
+    speed would seem to be known from them.
+    """
+    seconds = sum(time[-1] - time[0] for *_, time in segments)
+    steps = sum(len(time) - 1 for *_, time in segments)
+    if not seconds > 0.0:
+        return 0
+    turns = seconds * omega / (2.0 * np.pi)
+    return max(0, int(0.5 * (steps / turns - 1.0 / max(turns, 1.0))))
 
 
 def _some_rows(segments):
