@@ -25,7 +25,7 @@ from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, HALF
 from sklearn_hd.algorithms.linalg.triangular import column_sizes
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_innovations import input_slopes
-from sklearn_hd.algorithms.periodic.speed import orbit_share
+from sklearn_hd.algorithms.periodic.speed import LEAST_TURNS, orbit_share
 from sklearn_hd.algorithms.signals.fourier import (
     AT_ONCE,
     InputDirections,
@@ -38,8 +38,6 @@ MOST_OUTSIDE = 1e-3  # of the inputs' energy within the period
 NOISE = 1e-4  # of it, which may be noise
 NOTABLE = 1e-2  # of the motion predicted, below which its standard deviation is no matter
 MOST_OFF = 0.1  # of the motion predicted, that the orbit may be off by
-LEAST_TURNS = 4  # in which a waveform that repeats itself is told from motion
-MOST_OF_REST = 0.5  # of what a simulation leaves
 LARGEST = 1e10  # operations: of longer records, and wider models, nothing is said
 N_STRETCHES = 8  # of a segment, half over each other, whose periodograms are averaged
 BY_CHANCE = 0.01  # of spectra of white noise have a larger peak than is taken for none
@@ -218,10 +216,10 @@ def warn_of_orbit(simulators, outputs):
 
 
 def warn_of_another_orbit(measured, simulated, at_rows, time, experiment):
-    """Warn if a record repeats with every turn what the model does not.
+    """Warn of a waveform that a record repeats with every turn and the model does not have.
 
-    That is most of what the simulation leaves, more than the motion, and a notable part of the
-    orbit itself. Means do not count: a bad model leaves them, too.
+    It has to be most of what the simulation leaves, more than the motion, and a notable part of
+    the orbit itself. Means do not count: a bad model leaves them, too.
 
     Parameters
     ----------
@@ -247,14 +245,15 @@ def warn_of_another_orbit(measured, simulated, at_rows, time, experiment):
     motion = measured / unit - apart
     apart, orbit, motion = (np.std(each, axis=0) for each in (apart, orbit, motion))
     for k in np.flatnonzero(apart > np.maximum(motion, MOST_OFF * orbit)):
-        if orbit_share([(None, left[:, [k]], time)], basis.omega, n_harmonics) < MOST_OF_REST:
+        if orbit_share([(None, left[:, [k]], time)], basis.omega, n_harmonics) < 0.5:  # not most
             continue
         warn(
-            f"the output {experiment.output_names[k]!r} of the record scored repeats with every "
-            f"turn what the model does not: {unit * apart[k]:.2g}, beside a motion of "
-            f"{unit * motion[k]:.2g} (standard deviations); its orbit may be another: check its "
-            f"unit and sign, the order of the outputs, and the times (or azimuth), whose zero has "
-            f"to be at the same phase as at fit",
+            f"the output {experiment.output_names[k]!r} of the record scored has a waveform that "
+            f"repeats with every turn and that the model does not have: it is "
+            f"{unit * apart[k]:.2g}, the motion beside it {unit * motion[k]:.2g} (standard "
+            f"deviations); the record may be about another orbit: check the unit and sign of the "
+            f"output, the order of all, and the times (or azimuth), whose zero has to be at the "
+            f"same phase as at fit",
             IdentifiabilityWarning,
         )
         break

@@ -173,7 +173,7 @@ def of_halves(exponents, halves, omega, duration):
     exponents : complex ndarray, shape (n,)
     halves : list of (complex ndarray, ndarray or None), shapes (n,)
         Exponents of each, and their standard deviations, None where it has no likelihood. The parts
-        are equal if neither has one.
+        are equal if neither has one, and not known if one has none.
     omega, duration : float
     """
     own, deviations = [], []

@@ -294,6 +294,15 @@ def test_a_half_that_tells_little_is_asked_little():
     assert doubtful(PAIR, found).all()
 
 
+def test_a_part_that_halves_do_not_have_silences_none():
+    """One is 1000 times as far off as the other, not 100: their geometric mean tells."""
+    known = np.full(2, 0.1)
+    found = halves_have(PAIR, PAIR + 2.0, PAIR + 0.002, known=[100.0 * known, known])
+    np.testing.assert_allclose(found.deviations, np.sqrt(2.0 * 0.002))
+    unknown = halves_have(PAIR, PAIR + 0.02, PAIR + 0.01, known=[np.inf * known, np.inf * known])
+    assert np.all(unknown.deviations == halves_have(PAIR, PAIR + 0.02, PAIR + 0.01).deviations)
+
+
 @pytest.mark.parametrize(("slower", "doubted"), [(-8.0, False), (-1.5, False), (-0.5, True)])
 def test_a_mode_that_every_half_forgets_within_a_turn_is_not_judged(slower, doubted):
     """How fast it is, halves do not know; whether it lasts, they do (1e-3 are -1.1 at ω = 1)."""
