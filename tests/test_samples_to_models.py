@@ -336,6 +336,10 @@ def test_one_output_leads_to_floquet_coordinates():
     assert pipe["match"].ltp_.state_names == ("z1", "z2")
     same_exponents(pipe["match"].ltp_.floquet_exponents(), system, rtol=0.01)
     assert pipe.score(u, y) == pytest.approx(pipe[:2].score(u, y), abs=1e-5)
+    with pytest.warns(CoordinatesWarning):
+        pipe.fit(u, 1e4 * y)  # in other units
+    shapes = pipe["match"].ltp_.P(np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False))
+    assert np.mean(np.sum(shapes**2, axis=(1, 2))) == pytest.approx(1.0, rel=1e-6)
 
 
 @pytest.mark.slow

@@ -21,7 +21,11 @@ from scipy import linalg, optimize
 from sklearn_hd.algorithms.linalg.rounding import EPS, EXACT, HALF
 from sklearn_hd.algorithms.lti.simulation import discrete_to_continuous
 from sklearn_hd.algorithms.periodic.floquet import scaled_product, separated_factors, steps_between
-from sklearn_hd.algorithms.periodic.floquet_coordinates import FloquetForm, floquet_coordinates
+from sklearn_hd.algorithms.periodic.floquet_coordinates import (
+    FloquetForm,
+    floquet_coordinates,
+    shape_sizes,
+)
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, trimmed_harmonics
 from sklearn_hd.algorithms.periodic.periodic_realization import (
     FloquetError,
@@ -165,8 +169,11 @@ class Turn:
         """
         F, seen, form = self._in_coordinates(self.fine, rows)
         now = self._in_coordinates(self.psi, rows)[1][:, self.n_outputs :]
-        Gamma = np.linalg.solve(np.roll(now, -1, axis=0), self.B)
-        F, P = (_resolved(values) for values in (F, seen[:, : self.n_outputs]))
+        P, Gamma = seen[:, : self.n_outputs], np.linalg.solve(np.roll(now, -1, axis=0), self.B)
+        if rows is None:
+            sizes = shape_sizes(P, form)
+            P, Gamma = P / sizes, sizes[:, None] * Gamma
+        F, P = _resolved(F), _resolved(P)
         G = input_matrix(F, Gamma, self.psi[0], self.omega)
         return ContinuousModel(F, G, P, self.D, rows, form)
 

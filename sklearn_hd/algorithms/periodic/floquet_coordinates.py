@@ -155,6 +155,23 @@ def _form(exponents, V, spin, n_flips):
 # ---- the scale of each mode --------------------------------------------------------------------
 
 
+def shape_sizes(P, form):
+    """The rms of each mode's shape over a turn, for each coordinate; one of all without a form.
+
+    States divided by it move the outputs by as much as their own size, whatever the states were
+    that the modes were found from.
+
+    Parameters
+    ----------
+    P : ndarray, shape (n_points, l, n)
+    form : FloquetForm or None
+    """
+    squares, n = np.mean(np.sum(P**2, axis=1), axis=0), P.shape[2]
+    starts = [0] if form is None else [at for _, at in form.columns]
+    sizes = np.sqrt(np.add.reduceat(squares, starts))
+    return np.repeat(np.where(sizes > 0.0, sizes, 1.0), np.diff([*starts, n]))
+
+
 def fixed_scale(structure, theta, form):
     """A structure in Floquet coordinates whose states' scale is fixed, and its parameters.
 

@@ -5,7 +5,11 @@ import pytest
 from periodic_cases import similar
 from scipy import linalg, sparse
 
-from sklearn_hd.algorithms.periodic.floquet_coordinates import fixed_scale, floquet_coordinates
+from sklearn_hd.algorithms.periodic.floquet_coordinates import (
+    fixed_scale,
+    floquet_coordinates,
+    shape_sizes,
+)
 from sklearn_hd.algorithms.periodic.periodic_realization import FloquetShapes
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
@@ -64,6 +68,24 @@ def test_coordinates_repeat_with_the_period(name):
         np.testing.assert_allclose(other, one, atol=1e-12)
     assert len(here[2].directions) == len(shapes.R)
     assert here[2].n_harmonics == int(name in ("negative", "four negative", "all kinds"))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_shapes_of_size_one_belong_to_the_same_exponents(name):
+    """In states of any scale, dividing each mode by its size leaves F and makes the sizes one."""
+    psi = 2.0 * np.pi * np.arange(16) / 16
+    F, P, form = floquet_coordinates(shapes_of(name), psi, OMEGA)
+    sizes = shape_sizes(P, form)
+    np.testing.assert_allclose(sizes[:, None] * F / sizes, F, atol=1e-12)
+    np.testing.assert_allclose(shape_sizes(P / sizes, form), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(shape_sizes(1e5 * P, form), 1e5 * sizes, rtol=1e-12)
+
+
+def test_shapes_without_a_form_have_one_size_and_unseen_modes_keep_theirs():
+    P = np.array([[[3.0, 4.0]]])
+    np.testing.assert_allclose(shape_sizes(P, None), [5.0, 5.0])
+    form = floquet_coordinates(shapes_of("real"), np.zeros(1), OMEGA)[2]
+    np.testing.assert_array_equal(shape_sizes(np.zeros((1, 2, 3)), form), 1.0)
 
 
 def test_modes_too_close_have_no_form():
