@@ -104,17 +104,18 @@ class Opinion:
         """Which exponents it judges: those that last, or may by what it knows of the model's own.
 
         By the slowest that parts of the record have, of which all may forget a mode within a
-        period and none may know how fast; else by its deviations.
+        period and none may know how fast; by its deviations where there are no parts, or where
+        all of these forget all modes.
         """
         slowest = np.real(exponents)
         if not self.own or not len(self.exponents):
             return lasting(slowest, self.omega)
         if self.slowest is not None:
             nearest = np.abs(self._gaps(exponents)).argmin(axis=1)
-            slowest = np.maximum(slowest, self.slowest[nearest])
-        else:
-            slowest = slowest + SURE * self.beside(exponents)[1]
-        return lasting(slowest, self.omega)
+            lasts = lasting(np.maximum(slowest, self.slowest[nearest]), self.omega)
+            if lasts.any():
+                return lasts
+        return lasting(slowest + SURE * self.beside(exponents)[1], self.omega)
 
 
 def _rates(exponents, omega):
@@ -165,8 +166,10 @@ def of_halves(exponents, halves, omega, duration):
         λ = f λ_1 + (1 − f) λ_2,
         E f |λ_1 − λ|² + (1 − f) |λ_2 − λ|² = E |λ_1 − λ| |λ_2 − λ| = σ².
 
-    Both are larger where more than chance is between them, and the larger counts. The first needs
-    the parts, which are as 1 / σ_1² and 1 / σ_2².
+    Both are larger where more than chance is between them. The first needs the parts, which are as
+    1 / σ_1² and 1 / σ_2². If the halves' own deviations explain how far they are off, it counts,
+    else the larger. A half that knows an exponent not even to within its rate may be anywhere: if
+    only the other one knows it, σ is no more than that one's deviation, or distance if larger.
 
     Parameters
     ----------
@@ -176,22 +179,23 @@ def of_halves(exponents, halves, omega, duration):
         are equal if neither has one, and not known if one has none.
     omega, duration : float
     """
-    own, deviations = [], []
-    for half, known in halves:
+    own, known = [], np.full((2, len(exponents)), np.inf)
+    for deviations, (half, its) in zip(known, halves, strict=True):
         shifted = half + 1j * omega * np.round((exponents[:, None] - half).imag / omega)
         rows, columns = linear_sum_assignment(np.abs(exponents[:, None] - shifted))
         own.append(shifted[rows, columns])
-        deviations.append(None if known is None else known[columns])
-    first, second = np.abs(np.array(own) - exponents)
-    squares = first * second
-    if sum(known is None for known in deviations) != 1:
-        part = 0.5
-        if deviations[0] is not None:
-            with np.errstate(all="ignore"):
-                part = 1.0 / (1.0 + (deviations[0] / deviations[1]) ** 2)
-            part = np.nan_to_num(part, nan=0.5)  # of two that tell nothing
-        squares = np.maximum(squares, part * first**2 + (1.0 - part) * second**2)
-    spread = np.sqrt(squares)
+        deviations[:] = np.inf if its is None else its[columns]
+    apart, tells = np.abs(np.array(own) - exponents), SURE * known < _rates(exponents, omega)
+    squares = apart[0] * apart[1]
+    if sum(its is None for _, its in halves) != 1:
+        with np.errstate(all="ignore"):
+            parts = 1.0 / (1.0 + (known / known[::-1]) ** 2)
+        parts = np.nan_to_num(parts, nan=0.5)  # of two that tell nothing
+        weighted = np.sum(parts * apart**2, axis=0)
+        by_chance = np.all(tells & (apart <= STANDARD_ERRORS * known), axis=0)
+        squares = np.where(by_chance, weighted, np.maximum(weighted, squares))
+    alone = np.max(np.where(tells, np.maximum(apart, known), 0.0), axis=0)
+    spread = np.sqrt(np.where(tells.sum(axis=0) == 1, np.minimum(squares, alone**2), squares))
     slowest = np.max(np.real([exponents, *own]), axis=0)
     pair = _conjugates(exponents, omega)  # halves may be near to either of a pair
     spread, slowest = np.hypot(spread, spread[pair]) / 2**0.5, np.maximum(slowest, slowest[pair])
@@ -295,7 +299,7 @@ def contradictions(exponents, opinion):
     """What a second opinion has against the exponents of a model: words, "" where it has nothing.
 
     Of those in doubt, of those that do not change within the record, and of those missing beside
-    what is next to them, the worst is named.
+    what is next to them, the worst is named. It says how many are known beside those in doubt.
     """
     nearest, apart, spread = opinion.about(exponents)
     doubt, words = doubtful(exponents, opinion), []
@@ -316,10 +320,10 @@ def contradictions(exponents, opinion):
         )
     lasts = lasting(exponents, opinion.omega)
     if doubt.any() and lasts.any() and not np.any(doubt & lasts):  # by its own deviations alone
-        words.append(
-            f"as the model has them, a turn leaves less than {LASTING:g} of those; the slower ones "
-            f"are known to {DOUBT:.0%}"
-        )
+        words.append(f"as the model has them, a turn leaves less than {LASTING:g} of those")
+    known = lasts & ~doubt & (apart <= DOUBT) & (SURE * spread <= DOUBT)
+    if doubt.any() and known.any():
+        words.append(f"{int(known.sum())} other(s) are known to {DOUBT:.0%}")
     words.append(lacks(exponents, opinion, nearest[doubt]))
     return "; ".join(filter(None, words))
 

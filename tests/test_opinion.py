@@ -197,15 +197,26 @@ def test_a_wrong_exponent_is_not_named_twice():
 
 
 @pytest.mark.parametrize(
-    ("deviations", "known"), [((1e-3, 0.9), True), ((0.05, 0.9), False), ((1e-3, 0.1), None)]
+    ("deviations", "known"),
+    [((1e-3, 1e-3, 0.9), 2), ((0.05, 1e-3, 0.9), 1), ((0.05, 0.05, 0.9), 0), ((1e-3,) * 3, None)],
 )
-def test_where_only_a_fast_mode_is_in_doubt_the_slower_ones_are_known(deviations, known):
+def test_how_many_are_known_beside_those_in_doubt(deviations, known):
     """A turn leaves 3e-6 of -2 1/s, which with a deviation of 0.9 1/s may last."""
-    exponents = np.array([-0.2 + 0j, -2.0])
+    exponents = np.array([-0.2 + 0j, -0.3, -2.0])
     own = replace(opinion(exponents, 0.0, own=True), deviations=np.array(deviations))
     words = contradictions(exponents, own)
-    assert ("the slower ones are known to 10%" in words) == bool(known)
+    assert ("a turn leaves less than 0.001 of those" in words) == (known == 2)
+    assert re.findall(r"(\d) other\(s\) are known to 10%", words) == ([str(known)] if known else [])
     assert bool(words) == (known is not None)
+
+
+def test_what_another_way_does_not_have_is_not_called_known():
+    """-0.05 is within the error of a vague exponent: not in doubt, and not confirmed."""
+    exponents = np.array([-0.2 + 0j, -0.05])
+    vague = Opinion(np.array([-0.4 + 0j, -0.05]), np.array([1e-3, 0.03]), 1.0, "it has")
+    words = contradictions(exponents, vague)
+    assert "1 of 2 exponents are in doubt" in words
+    assert "known" not in words
 
 
 def test_of_two_opinions_that_of_a_mode_that_lasts_is_heard():
@@ -303,6 +314,29 @@ def test_a_part_that_halves_do_not_have_silences_none():
     assert np.all(unknown.deviations == halves_have(PAIR, PAIR + 0.02, PAIR + 0.01).deviations)
 
 
+@pytest.mark.parametrize(("off", "spread"), [(0.001, 0.005), (0.007, 0.007)])
+@pytest.mark.parametrize("vague", [None, np.full(2, 3.0)])
+def test_where_one_half_alone_knows_an_exponent_the_other_may_be_anywhere(off, spread, vague):
+    """A doublet with half of its decay in one half: of the rest the closed form is no mode."""
+    known = [vague, np.full(2, 0.005)]
+    found = halves_have(PAIR, PAIR - 3.0, PAIR + off, known=known)
+    np.testing.assert_allclose(found.deviations, spread)
+    found = halves_have(PAIR, PAIR - 3.0, PAIR + off, known=known[::-1])
+    assert np.all(found.deviations > 0.05)  # that which knows is far off
+    if vague is None:
+        found = halves_have(PAIR, PAIR - 1e-3, PAIR + 1e-3, known=known)
+        np.testing.assert_allclose(found.deviations, 1e-3)
+
+
+@pytest.mark.parametrize(("apart", "counted"), [(0.19, False), (0.21, True)])
+def test_the_geometric_mean_counts_where_chance_does_not_explain_a_half(apart, counted):
+    known = [np.full(2, 0.05), np.full(2, 0.005)]
+    found = halves_have(PAIR, PAIR + apart, PAIR + 0.01, known=known)
+    weighted = np.sqrt((0.01 * apart**2 + 0.01**2) / 1.01)
+    mean = np.sqrt(0.01 * apart)
+    np.testing.assert_allclose(found.deviations, mean if counted else weighted)
+
+
 @pytest.mark.parametrize(("slower", "doubted"), [(-8.0, False), (-1.5, False), (-0.5, True)])
 def test_a_mode_that_every_half_forgets_within_a_turn_is_not_judged(slower, doubted):
     """How fast it is, halves do not know; whether it lasts, they do (1e-3 are -1.1 at ω = 1)."""
@@ -311,6 +345,15 @@ def test_a_mode_that_every_half_forgets_within_a_turn_is_not_judged(slower, doub
     assert doubtful(whole, found).tolist() == [False, False, doubted]
     assert found.of(whole[::-1], "they have").slowest is None  # of these, in this order
     assert not len(replace(found, exponents=whole[:0]).judges(whole[:0]))
+
+
+@pytest.mark.parametrize(("halves", "doubted"), [((-5.0, -7.0), True), ((-2.9, -3.1), False)])
+def test_where_a_turn_forgets_all_modes_those_that_may_last_are_judged(halves, doubted):
+    """-3 ± 2.8 1/s may be a mode that lasts, and no other of the model does."""
+    whole = np.array([-3.0 + 0j])
+    found = halves_have(whole, *([half] for half in halves))
+    assert doubtful(whole, found).tolist() == [doubted]
+    assert ("1 of 1 exponents are in doubt" in contradictions(whole, found)) == doubted
 
 
 def record(noise, n_periods=60, samples=32):

@@ -317,6 +317,24 @@ def test_one_state_more_is_taken_where_it_alone_leaves_but_noise(
     assert found.chosen.order == (3 if taken else 2)
 
 
+def test_simpler_models_have_fewer_states_or_fewer_harmonics():
+    """The best of each order that leave little, three orders at most, and of its own order."""
+    sizes = [(1, 4), (2, 2), (2, 4), (3, 2), (4, 2), (5, 2), (5, 4), (5, 6), (5, 8)]
+    tried = [
+        SimpleNamespace(order=n, n_harmonics=h, bic=-h, stable=h != 6, variance=1.0 / n)
+        for n, h in sizes
+    ]
+    choice = SimpleNamespace(kept=lambda: tried)
+
+    def simpler(place, most_left):
+        found = Choice.simpler(choice, tried[place], most_left)
+        return [(one.order, one.n_harmonics) for one in found]
+
+    assert simpler(-1, 0.5) == [(2, 4), (3, 2), (4, 2), (5, 4)]
+    assert simpler(-1, 1.0) == [(1, 4), (2, 4), (3, 2), (5, 4)]
+    assert simpler(1, 0.5) == []
+
+
 @pytest.mark.parametrize(
     ("exponent", "left", "bic", "noise", "against", "serves"),
     [
@@ -351,6 +369,7 @@ def test_a_simpler_model_has_modes_of_the_other_or_leaves_as_little(
         ((-0.231,), 0.002, "", True),
         ((-0.2,), 0.02, "", True),  # within chance
         ((-0.2,), 0.002, "halves differ", True),  # the other is in doubt itself
+        ((-0.2, -1.5), 0.002, "", True),  # as many, fewer harmonics: the criterion has the word
     ],
 )
 def test_fewer_states_do_not_stand_beside_a_sure_model_of_others(
@@ -360,7 +379,7 @@ def test_fewer_states_do_not_stand_beside_a_sure_model_of_others(
         exponents = np.array(exponents, complex)
         spread = np.full(len(exponents), deviation)
         opinion = Opinion(exponents, spread, 0.8, "the two halves of the record have", own=True)
-        it = _Found(None, None, None)
+        it = _Found(None, SimpleNamespace(order=len(exponents)), None)
         model = SimpleNamespace(exponents=lambda: exponents, omega=0.8, opinion=opinion)
         it.__dict__.update(model=model, against=against)
         return it

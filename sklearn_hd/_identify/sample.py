@@ -13,7 +13,6 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import islice
 
 import numpy as np
 
@@ -48,7 +47,6 @@ from sklearn_hd.algorithms.subspace.order import Simulated
 from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
 
 MOST_ROWS_A_TURN = 200  # whose multipliers take no time to find and to sort
-MOST_SIMPLER = 3  # models with fewer states that are looked at if the best one is in doubt
 STEPS_GAIN = 10.0  # of what a closed form leaves, at most, over what steps of likelihood leave
 ABOUT_MEAN = (
     "the machine is not linear, and its orbit at rest (inputs at zero, or at their mean where that "
@@ -288,6 +286,11 @@ class _Found:
         return words if small is None or small.about_rest else [ABOUT_MEAN]
 
     @property
+    def size(self):
+        """Its number of states, and of harmonics."""
+        return self.chosen.order, self.chosen.n_harmonics
+
+    @property
     def lasts(self):
         """Whether a turn leaves something of every mode: others may stand for noise."""
         if not self._is_asked:
@@ -305,8 +308,9 @@ class _Found:
         return self.choice.leaves_noise(self.left)
 
     def stands_beside(self, other):
-        """Whether it is the other, or the other's exponents are in doubt, or confirm its own."""
-        if self is other or other.against or other.model.opinion is None:
+        """Whether it has as many states as the other, or the other's exponents are in doubt, or
+        confirm its own."""
+        if self.chosen.order == other.chosen.order or other.against or other.model.opinion is None:
             return True
         known = other.model.opinion.of_whole(other.model.exponents())
         return not why_unconfirmed(self.model.exponents(), known)
@@ -426,18 +430,17 @@ def _truncated(found, choice):
 
 
 def _or_simpler(found, choice):
-    """A model of fewer states that serves for one in doubt, or is better by the criterion.
+    """A simpler model that serves for one in doubt, or is better by the criterion.
 
-    After steps of the likelihood: before them, a model of as many states as the machine may leave
-    more than one of too many. Without products, states stand for the second order of the response:
-    where these pay, the criterion of predictions beside them comes first, unless nothing speaks
-    against more states and they have other exponents. An unstable model was simulated in pieces,
-    and is not compared.
+    It has fewer states, or as many and fewer harmonics. After steps of the likelihood: before
+    them, a model of as many states as the machine may leave more than one of too many. Without
+    products, states (and harmonics) stand for the second order of the response: where these pay,
+    the criterion of predictions beside them comes first, unless nothing speaks against more states
+    and they have other exponents. An unstable model was simulated in pieces, and is not compared.
     """
     most_left = max(AS_LITTLE * found.left.variance, LITTLE)
     simpler = (
-        _Found.of(choice, one)
-        for one in islice(choice.simpler(found.chosen, STEPS_GAIN * most_left), MOST_SIMPLER)
+        _Found.of(choice, one) for one in choice.simpler(found.chosen, STEPS_GAIN * most_left)
     )
     if found.refined.degrees:
         simpler, way = list(simpler), found.refined.simulates
@@ -449,7 +452,7 @@ def _or_simpler(found, choice):
         return found
     rivals = [found]
     for one in simpler:
-        if one.chosen.order >= found.chosen.order or not one.left.variance <= most_left:
+        if not (one.size < found.size and one.left.variance <= most_left):
             continue
         if one.serves_for(found):
             return one

@@ -38,6 +38,7 @@ MOST_STATES = 20  # tried by order="auto"
 LEAST_NOISE = 1e-6  # of an output's motion, where data are exact and no steps follow
 PIECE = 4  # times the lags: the least piece of an unstable model that is simulated
 PATIENCE = 6  # orders that may pass without a better one
+MOST_SIMPLER = 3  # smaller orders that are looked at beside the best one
 
 
 @dataclass(frozen=True, eq=False)
@@ -348,12 +349,17 @@ class Choice:
         return self.model(self.sums(chosen.order, some=False), chosen.n_harmonics)
 
     def simpler(self, chosen, most_left):
-        """Of each smaller order the best model tried, if it leaves little; the smallest first."""
-        for order in range(1, chosen.order):
-            kept = [one for one in self.kept() if one.order == order and one.stable]
-            best = min(kept, key=lambda one: one.bic, default=None)
-            if best is not None and best.variance <= most_left:
-                yield best
+        """Of each smaller order the best model tried, if it leaves little; the smallest first.
+
+        A few; and that of the same order with fewer harmonics.
+        """
+        few = [one for one in self.kept() if one.stable and one.variance <= most_left]
+        orders = [[one for one in few if one.order == order] for order in range(1, chosen.order)]
+        own = [one for one in few if one.order == chosen.order]
+        fewer = [one for one in own if one.n_harmonics < chosen.n_harmonics]
+        for some in [*[some for some in orders if some][:MOST_SIMPLER], fewer]:
+            if some:
+                yield min(some, key=lambda one: one.bic)
 
     def refined(self, innovations, stable, like=None):
         """A model with the gain of its Kalman filter, after steps of its likelihood.
