@@ -11,7 +11,7 @@ import pytest
 from sklearn.pipeline import Pipeline, make_pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
-from sklearn_hd._identify.sample import _Found, _or_fuller
+from sklearn_hd._identify.sample import _Found, _or_fuller, _or_simpler
 from sklearn_hd._identify.sample_models import Choice, Refined
 from sklearn_hd._identify.stages import warn_of_growth
 from sklearn_hd._opinion import Opinion
@@ -315,6 +315,27 @@ def test_one_state_more_is_taken_where_it_alone_leaves_but_noise(
     )
     found = _or_fuller(_Found(choice, tried[0], refined), choice)
     assert found.chosen.order == (3 if taken else 2)
+
+
+@pytest.mark.parametrize(("degrees", "taken"), [((2,), True), ((), False)])
+def test_a_linear_model_in_doubt_does_not_stand_for_small_motions(degrees, taken):
+    """It simulates large motions better than their linear part, and has other exponents."""
+    exponents = np.array([-0.2 + 1j, -0.2 - 1j])
+
+    def found(n_harmonics, bic, degrees):
+        it = _Found(None, SimpleNamespace(order=2, n_harmonics=n_harmonics), None)
+        refined = SimpleNamespace(degrees=degrees, simulates=False, no_noise="")
+        left = SimpleNamespace(variance=1e-3, bic=bic, stable=True)
+        model = SimpleNamespace(exponents=lambda: exponents, omega=3.0, opinion=None)
+        it.__dict__.update(refined=refined, left=left, model=model, against=["in doubt"])
+        return it
+
+    whole, other = found(4, 0.0, (2,)), found(2, -10.0, degrees)
+    choice = SimpleNamespace(simpler=lambda chosen, most_left: [other])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_Found, "of", lambda choice, one: one)
+        patch.setattr(_Found, "bic_of_predictions", 0.0)
+        assert (_or_simpler(whole, choice) is other) == taken
 
 
 def test_simpler_models_have_fewer_states_or_fewer_harmonics():

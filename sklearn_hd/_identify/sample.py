@@ -456,7 +456,8 @@ def _or_simpler(found, choice):
             continue
         if one.serves_for(found):
             return one
-        if found.against and found.left.stable and not one.refined.no_noise:
+        alike = bool(one.refined.degrees) == bool(found.refined.degrees)
+        if found.against and found.left.stable and alike and not one.refined.no_noise:
             rivals.append(one)
     return min(rivals, key=lambda rival: rival.left.bic)
 

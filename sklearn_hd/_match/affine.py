@@ -302,10 +302,12 @@ def match_samples(model, experiment, structure, settings):
         way = "give the structure more harmonics, Q where there is a feedthrough, or fewer fixed "
         way += "entries, or leave structure=None"
     else:
+        most = model.innovations.n_harmonics
+        fewer = f"fewer than {most} harmonics (output_harmonics=), " if most > 1 else ""
         way = (
             f"its {model.n_states} states change faster than "
             f"{experiment.basis.samples_per_period:.4g} samples per turn show of a continuous "
-            f"model; use a lower order, or sample more often"
+            f"model; use {fewer}a lower order, or sample more often"
         )
         if settings is None or not settings.likely:
             way = f"predict simulates the identified model; ltp_, system_ and theta_ fail: {way}"

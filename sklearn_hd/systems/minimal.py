@@ -65,8 +65,8 @@ def minimal_model(system, n_copies, n_output_harmonics):
     model = control.StateSpace(A, B, C, kept.D, states=states, **signals)
     if kept.loss > MOST_LOSS:
         warn(
-            f"the model misses {kept.loss:.2g} of the response of an output to an input (rms over "
-            f"frequency), which goes through copies of the modes; keep some "
+            f"the model is off by {kept.loss:.0%} of the response of an output to an input (rms "
+            f"over frequency), which goes through copies of the modes; keep some "
             f"(n_copies={n_copies + 1}), or design for the periodic system itself",
             IdentifiabilityWarning,
         )
