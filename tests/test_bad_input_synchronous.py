@@ -63,16 +63,21 @@ PERIODIC = {
 }
 
 
+@pytest.fixture(scope="module")
+def identified(oscillation):
+    u, y = oscillation
+    return synchronous(2.0, order=2)[:2].fit(u, y).transform(u)
+
+
 @pytest.mark.parametrize("case", PERIODIC)
-def test_matching_parameters_period_by_period(oscillation, case):
+def test_matching_parameters_period_by_period(identified, oscillation, case):
     options, message = PERIODIC[case]
     with pytest.raises(ValueError, match=message):
-        synchronous(2.0, **{"order": 2} | options).fit(*oscillation)
+        synchronous(2.0, **options)["match"].fit(identified, oscillation[1])
 
 
-def test_states_to_keep_of_a_model_that_passes(oscillation):
-    u, y = oscillation
-    frame = synchronous(2.0, order=2)[:2].fit(u, y).transform(u)
+def test_states_to_keep_of_a_model_that_passes(identified, oscillation):
+    frame, y = identified, oscillation[1]
     message = r"n_states=1 cannot be kept: the model is period-synchronous, .* its 2 states; use "
     with pytest.raises(ValueError, match=message + r"MOESPRegressor\(order=1\), or leave"):
         SpuriousModeReducer(n_states=1).fit(frame, y)

@@ -31,6 +31,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:. of . exponents are in doubt.* 
 OMEGA, SAMPLES = 2.0, 16
 MATHIEU = HarmonicStructure(F=1, G=0)
 SHORT = "time constants of the slowest mode"
+READINGS = ("period", "sample")
 
 
 @lru_cache
@@ -123,11 +124,23 @@ def fitted(recorded):
     return fit(pipeline(), *recorded)
 
 
+@pytest.fixture(scope="module")
+def refused(recorded):
+    """Fits the match of a pipeline behind a model that all share, as its fit does, and fails."""
+    frames = {each: pipeline(each)[:2].fit(*recorded).transform(recorded[0]) for each in READINGS}
+
+    def check(words, reading="period", structure=MATHIEU, **match):
+        with pytest.raises(ValueError, match=words):
+            pipeline(reading, structure, **match)["match"].fit(frames[reading], recorded[1])
+
+    return check
+
+
 # ---- what is found ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("structure", [MATHIEU, HarmonicStructure(), None])
-@pytest.mark.parametrize("reading", ["period", "sample"])
+@pytest.mark.parametrize("reading", READINGS)
 @pytest.mark.slow
 def test_a_machine_in_gusts_is_found_within_its_deviations(reading, structure, recorded):
     pipe = fit(pipeline(reading, structure), *recorded)
@@ -344,7 +357,7 @@ def test_records_may_begin_on_a_phase_or_between_two(criterion, first):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("reading", ["period", "sample"])
+@pytest.mark.parametrize("reading", READINGS)
 def test_rows_without_outputs_are_gaps(reading, recorded):
     X, y = recorded
     y = y.copy()
@@ -369,7 +382,7 @@ def test_samples_contradict_whole_periods_whose_inputs_always_move(recorded):
 
 
 @pytest.mark.filterwarnings("ignore:the record lasts")
-@pytest.mark.parametrize("reading", ["period", "sample"])
+@pytest.mark.parametrize("reading", ["period", pytest.param("sample", marks=pytest.mark.slow)])
 def test_gusts_name_prediction_error(reading, recorded):
     with pytest.warns(IdentifiabilityWarning, match="use criterion='prediction_error'"):
         pipeline(reading, criterion="output_error").fit(*recorded)
@@ -428,27 +441,24 @@ def test_parts_of_a_record_that_disagree_are_told():
         ({"input_weights": {"u": 1.0}}, "criterion='prediction_error' weights each output"),
     ],
 )
-@pytest.mark.parametrize("reading", ["period", "sample"])
-def test_what_predictions_cannot_use_is_refused(reading, options, words, recorded):
-    with pytest.raises(ValueError, match=words):
-        pipeline(reading, **options).fit(*recorded)
+@pytest.mark.parametrize("reading", READINGS)
+def test_what_predictions_cannot_use_is_refused(reading, options, words, refused):
+    refused(words, reading, **options)
 
 
-def test_noise_on_the_inputs_of_samples_is_refused(recorded):
-    with pytest.raises(ValueError, match="use HarmonicAnalyzer"):
-        pipeline("sample", criterion="output_error", input_noise=0.1).fit(*recorded)
+def test_noise_on_the_inputs_of_samples_is_refused(refused):
+    refused("use HarmonicAnalyzer", "sample", criterion="output_error", input_noise=0.1)
 
 
-def test_an_invariant_structure_of_a_machine_that_turns_is_refused(recorded):
-    with pytest.raises(ValueError, match="give a HarmonicStructure"):
-        pipeline("sample", LAG).fit(*recorded)
+def test_an_invariant_structure_of_a_machine_that_turns_is_refused(refused):
+    refused("give a HarmonicStructure", "sample", LAG)
 
 
 # ---- over many records --------------------------------------------------------------------
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("reading", ["period", "sample"])
+@pytest.mark.parametrize("reading", READINGS)
 @pytest.mark.parametrize("gust", [0.0, 0.2])
 def test_right_models_raise_no_alarm(reading, gust):
     """At most one of ten; and 95 % intervals hold.
