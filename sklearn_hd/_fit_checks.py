@@ -25,16 +25,34 @@ CALM = 1e6  # times growth that leaves most of them
 
 
 def warn_of_data(experiment):
-    """Warn of what a record shows by itself: another frequency, an offset, growth.
+    """Warn of what a record shows by itself: a copy, another frequency, an offset, growth.
 
     Samples take an offset for a load, and growth for an unstable mode.
     """
+    _warn_of_copies(experiment)
     warn_of_mismatch(experiment)
     if experiment.basis.reading != "sample":
         warn_of_offset(experiment)
         warn_of_growing_data(experiment)
     if not experiment.basis.harmonic:
         _warn_of_mean(experiment)
+
+
+def _warn_of_copies(experiment):
+    """Warn of an input that has the values of an output, by some of the rows."""
+    inputs, outputs = (  # halves, whose differences do not overflow
+        np.vstack([0.5 * z[:: 1 + len(z) // MOST_ROWS] for z in each])
+        for each in (experiment.inputs, experiment.outputs)
+    )
+    moves, size = np.ptp(inputs, axis=0), np.ptp(outputs, axis=0)
+    for j, k in np.argwhere(np.abs(moves[:, None] - size) <= EXACT * size):
+        if size[k] > 0.0 and np.ptp(inputs[:, j] - outputs[:, k]) <= EXACT * size[k]:
+            warn(
+                f"the input {experiment.basis.input_signals[j]!r} has the values of the output "
+                f"{experiment.output_names[k]!r}: the model repeats them, and its R² says nothing; "
+                f"take it out of X, or out of y",
+                IdentifiabilityWarning,
+            )
 
 
 def warn_of_mismatch(experiment):

@@ -40,6 +40,22 @@ def y(u):
     return pd.DataFrame({"w": lag}, index=u.index)
 
 
+@pytest.mark.parametrize("scale", [1.0, 2.0])
+@pytest.mark.parametrize("reading", ["sample", None])
+def test_an_output_among_the_inputs_is_told(u, y, reading, scale):
+    """A copy, whatever its name; in other units it may be a signal of its own."""
+    model, X = MOESPRegressor(1, block_rows=4), u.assign(copy=scale * y["w"])
+    if reading is not None:
+        analyzer = HarmonicAnalyzer(OMEGA, reading=reading, output_harmonics=0)
+        model = make_pipeline(analyzer, model)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        model.fit(X, y)
+    told = [str(w.message) for w in caught if "has the values of the output 'w'" in str(w.message)]
+    assert len(told) == (scale == 1.0)
+    assert all(words.startswith("the input 'copy'") for words in told)
+
+
 def analyzer(**params):
     return HarmonicAnalyzer(**{"omega": OMEGA, "output_harmonics": 0, "hop": 4} | params)
 
