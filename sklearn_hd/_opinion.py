@@ -167,9 +167,10 @@ def of_halves(exponents, halves, omega, duration):
         E f |λ_1 − λ|² + (1 − f) |λ_2 − λ|² = E |λ_1 − λ| |λ_2 − λ| = σ².
 
     Both are larger where more than chance is between them. The first needs the parts, which are as
-    1 / σ_1² and 1 / σ_2². If the halves' own deviations explain how far they are off, it counts,
-    else the larger. A half that knows an exponent not even to within its rate may be anywhere: if
-    only the other one knows it, σ is no more than that one's deviation, or distance if larger.
+    1 / σ_1² and 1 / σ_2². It counts where both halves know an exponent to within its rate and are
+    off by no more than their own deviations explain; else the larger does. If one half alone knows
+    it so well, and chance explains how far off the other is, σ is no more than the deviation of
+    that half, or its distance if larger.
 
     Parameters
     ----------
@@ -186,16 +187,17 @@ def of_halves(exponents, halves, omega, duration):
         own.append(shifted[rows, columns])
         deviations[:] = np.inf if its is None else its[columns]
     apart, tells = np.abs(np.array(own) - exponents), SURE * known < _rates(exponents, omega)
-    squares = apart[0] * apart[1]
+    squares, by_chance = apart[0] * apart[1], apart <= STANDARD_ERRORS * known
     if sum(its is None for _, its in halves) != 1:
         with np.errstate(all="ignore"):
             parts = 1.0 / (1.0 + (known / known[::-1]) ** 2)
         parts = np.nan_to_num(parts, nan=0.5)  # of two that tell nothing
         weighted = np.sum(parts * apart**2, axis=0)
-        by_chance = np.all(tells & (apart <= STANDARD_ERRORS * known), axis=0)
-        squares = np.where(by_chance, weighted, np.maximum(weighted, squares))
+        both = np.all(tells & by_chance, axis=0)
+        squares = np.where(both, weighted, np.maximum(weighted, squares))
+    one = (tells.sum(axis=0) == 1) & np.all(tells | by_chance, axis=0)
     alone = np.max(np.where(tells, np.maximum(apart, known), 0.0), axis=0)
-    spread = np.sqrt(np.where(tells.sum(axis=0) == 1, np.minimum(squares, alone**2), squares))
+    spread = np.sqrt(np.where(one, np.minimum(squares, alone**2), squares))
     slowest = np.max(np.real([exponents, *own]), axis=0)
     pair = _conjugates(exponents, omega)  # halves may be near to either of a pair
     spread, slowest = np.hypot(spread, spread[pair]) / 2**0.5, np.maximum(slowest, slowest[pair])
@@ -319,11 +321,11 @@ def contradictions(exponents, opinion):
             f"has {exponents[k]:.4g} 1/s, {what_it_has(exponents, opinion, k)}"
         )
     lasts = lasting(exponents, opinion.omega)
-    if doubt.any() and lasts.any() and not np.any(doubt & lasts):  # by its own deviations alone
-        words.append(f"as the model has them, a turn leaves less than {LASTING:g} of those")
-    known = lasts & ~doubt & (apart <= DOUBT) & (SURE * spread <= DOUBT)
-    if doubt.any() and known.any():
-        words.append(f"{int(known.sum())} other(s) are known to {DOUBT:.0%}")
+    if doubt.any() and not np.any(doubt & lasts):  # by its own deviations alone
+        words.append(f"as the model has them, a turn leaves less than {LASTING:g} of their motion")
+    known = int(np.sum(lasts & ~doubt & (apart + SURE * spread <= DOUBT)))
+    if doubt.any() and known:
+        words.append(f"others known to within {DOUBT:.0%} of their rate: {known}")
     words.append(lacks(exponents, opinion, nearest[doubt]))
     return "; ".join(filter(None, words))
 

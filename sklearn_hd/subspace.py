@@ -66,13 +66,14 @@ class MOESPRegressor(ModelStep):
         reaches down to the noise floor. Plain data too short for any dynamics give 0, a static
         gain. For samples at their azimuths, orders and numbers of harmonics are simulated in the
         same way. If something speaks against the model chosen, it is truncated by the modes that
-        it does not need. If something still does, or a turn forgets one of its modes, models with
-        fewer states take the same steps of the likelihood, the smallest first, three at most. The
-        first is kept that nothing speaks against, and that leaves about as little, or less than a
-        hundredth of the motion's variance and has no mode that the other has not. If there is none
-        and the model is in doubt, the criterion after these steps chooses between it and those that
-        leave noise. Where products of states pay (``nonlinear_degrees_``), models
-        with fewer states are compared by their predictions beside these. A search leaves this out.
+        it does not need. If something still does, or a turn forgets one of its modes, simpler
+        models take the same steps of the likelihood: up to three with fewer states, the smallest
+        first, then one with as many and fewer harmonics. The first is kept that nothing speaks
+        against, and that leaves about as little, or less than a hundredth of the motion's variance
+        and has no mode that the other has not. If there is none and the model is in doubt, the
+        criterion after these steps chooses between it and those that leave noise (and have
+        products, if it has any). Where products of states pay (``nonlinear_degrees_``), simpler
+        models are compared by their predictions beside these. A search leaves this out.
     block_rows : int or None, default=None
         Block rows i of the past, and of the future. None takes twice the rows in the analysis
         window, plus two; 15 on plain data (fewer if the record is short); up to 60 with

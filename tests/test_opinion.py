@@ -205,8 +205,9 @@ def test_how_many_are_known_beside_those_in_doubt(deviations, known):
     exponents = np.array([-0.2 + 0j, -0.3, -2.0])
     own = replace(opinion(exponents, 0.0, own=True), deviations=np.array(deviations))
     words = contradictions(exponents, own)
-    assert ("a turn leaves less than 0.001 of those" in words) == (known == 2)
-    assert re.findall(r"(\d) other\(s\) are known to 10%", words) == ([str(known)] if known else [])
+    assert ("a turn leaves less than 0.001 of their motion" in words) == (known == 2)
+    told = re.findall(r"others known to within 10% of their rate: (\d)", words)
+    assert told == ([str(known)] if known else [])
     assert bool(words) == (known is not None)
 
 
@@ -328,6 +329,14 @@ def test_where_one_half_alone_knows_an_exponent_the_other_may_be_anywhere(off, s
         np.testing.assert_allclose(found.deviations, 1e-3)
 
 
+@pytest.mark.parametrize(("turned", "silenced"), [(0.1, True), (0.11, False)])
+def test_a_half_that_knows_no_rate_has_a_word_of_the_frequency(turned, silenced):
+    """Slow modes: a deviation of half the rate is little beside the imaginary part."""
+    slow, known = np.array([-0.05 + 0.2j, -0.05 - 0.2j]), [np.full(2, 0.026), np.full(2, 0.002)]
+    found = halves_have(slow, slow + turned * np.array([1j, -1j]), slow + 0.001, known=known)
+    np.testing.assert_allclose(found.deviations, 0.002 if silenced else np.sqrt(turned * 0.001))
+
+
 @pytest.mark.parametrize(("apart", "counted"), [(0.19, False), (0.21, True)])
 def test_the_geometric_mean_counts_where_chance_does_not_explain_a_half(apart, counted):
     known = [np.full(2, 0.05), np.full(2, 0.005)]
@@ -354,6 +363,7 @@ def test_where_a_turn_forgets_all_modes_those_that_may_last_are_judged(halves, d
     found = halves_have(whole, *([half] for half in halves))
     assert doubtful(whole, found).tolist() == [doubted]
     assert ("1 of 1 exponents are in doubt" in contradictions(whole, found)) == doubted
+    assert ("a turn leaves less than 0.001" in contradictions(whole, found)) == doubted
 
 
 def record(noise, n_periods=60, samples=32):

@@ -317,8 +317,10 @@ def test_one_state_more_is_taken_where_it_alone_leaves_but_noise(
     assert found.chosen.order == (3 if taken else 2)
 
 
-@pytest.mark.parametrize(("degrees", "taken"), [((2,), True), ((), False)])
-def test_a_linear_model_in_doubt_does_not_stand_for_small_motions(degrees, taken):
+@pytest.mark.parametrize(
+    ("own", "degrees", "taken"), [((2,), (2,), True), ((2,), (), False), ((), (2,), True)]
+)
+def test_a_linear_model_in_doubt_does_not_stand_for_small_motions(own, degrees, taken):
     """It simulates large motions better than their linear part, and has other exponents."""
     exponents = np.array([-0.2 + 1j, -0.2 - 1j])
 
@@ -330,7 +332,7 @@ def test_a_linear_model_in_doubt_does_not_stand_for_small_motions(degrees, taken
         it.__dict__.update(refined=refined, left=left, model=model, against=["in doubt"])
         return it
 
-    whole, other = found(4, 0.0, (2,)), found(2, -10.0, degrees)
+    whole, other = found(4, 0.0, own), found(2, -10.0, degrees)
     choice = SimpleNamespace(simpler=lambda chosen, most_left: [other])
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(_Found, "of", lambda choice, one: one)

@@ -456,8 +456,8 @@ def _or_simpler(found, choice):
             continue
         if one.serves_for(found):
             return one
-        alike = bool(one.refined.degrees) == bool(found.refined.degrees)
-        if found.against and found.left.stable and alike and not one.refined.no_noise:
+        small = one.refined.degrees or not found.refined.degrees  # a linear one has all motions
+        if found.against and found.left.stable and small and not one.refined.no_noise:
             rivals.append(one)
     return min(rivals, key=lambda rival: rival.left.bic)
 

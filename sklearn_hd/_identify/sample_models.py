@@ -354,10 +354,10 @@ class Choice:
         A few; and that of the same order with fewer harmonics.
         """
         few = [one for one in self.kept() if one.stable and one.variance <= most_left]
-        orders = [[one for one in few if one.order == order] for order in range(1, chosen.order)]
-        own = [one for one in few if one.order == chosen.order]
-        fewer = [one for one in own if one.n_harmonics < chosen.n_harmonics]
-        for some in [*[some for some in orders if some][:MOST_SIMPLER], fewer]:
+        each = [[one for one in few if one.order == order] for order in range(1, chosen.order + 1)]
+        fewer = [one for one in each.pop() if one.n_harmonics < chosen.n_harmonics]
+        orders = [some for some in each if some]
+        for some in (*orders[:MOST_SIMPLER], fewer):
             if some:
                 yield min(some, key=lambda one: one.bic)
 

@@ -25,7 +25,7 @@ from sklearn_hd.algorithms.likelihood.small_motions import AS_LITTLE
 from sklearn_hd.algorithms.lti.simulation import GROWN, growth, propagate
 from sklearn_hd.algorithms.modes.free_decay import offsets, periods_at_rest
 from sklearn_hd.algorithms.periodic.behind_samples import FINER
-from sklearn_hd.algorithms.periodic.floquet_coordinates import floquet_coordinates, shape_sizes
+from sklearn_hd.algorithms.periodic.floquet_coordinates import floquet_coordinates
 from sklearn_hd.algorithms.periodic.multipliers import multiplier_deviations, without_noise
 from sklearn_hd.algorithms.periodic.periodic_realization import (
     FloquetError,
@@ -185,7 +185,7 @@ def _in_closed_form(model, experiment, structure, scale, feedthrough=False):
     highest = (spp - 1) // 2
     count = min(shapes.n_harmonics, highest)
     if rows is None:
-        F, P, form = floquet_coordinates(shapes, psi, basis.omega)
+        F, P, form = floquet_coordinates(shapes, psi, basis.omega, scale)
         turned = bool(shapes.flips.any())
         states = tuple(f"z{i + 1}" for i in range(len(F[0])))
         n_harmonics = {"F": int(turned), "P": min(count + turned, highest)}
@@ -201,8 +201,6 @@ def _in_closed_form(model, experiment, structure, scale, feedthrough=False):
             n_harmonics["P"] = None
         F, P = F * scale[rows][:, None] / scale[rows], P / scale[rows]
     P = P * scale[:, None]
-    if rows is None:
-        P = P / shape_sizes(P, form)
     n_harmonics = {name: given(structure, name, found) for name, found in n_harmonics.items()}
     free = {
         name: sampled_harmonics(values, n_harmonics[name] or 0)

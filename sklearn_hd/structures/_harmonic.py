@@ -55,7 +55,8 @@ class HarmonicStructure(Structure):
     states : sequence of str, optional
         Outputs that are the states, if as many outputs as states determine the state. By default
         the first ones that do. If none do, the states are Floquet coordinates, in which F is
-        constant, and P(ψ) holds the mode shapes, each with an rms of one over a turn as found.
+        constant, and P(ψ) holds the mode shapes, each with an rms of one over a turn (before a
+        likelihood or ``fixed`` changes it).
     fixed : mapping of str to float, optional
         Parameters with a known value; they become numbers. ``"F[w,phi_dot]_1c"`` is the place of
         an entry.

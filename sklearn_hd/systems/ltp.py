@@ -441,8 +441,9 @@ class LTPSystem(NamedSignals):
             x(t) on these states, except for the ripple within a period. Check it by the exponents
             of the closed loop, ``LTPSystem(F - G K, …)``.
         loss : float
-            Only with ``return_loss=True``: missing share of the response of an output (with its
-            harmonics) to an input, rms over frequencies up to ω/2 or the fastest mode; worst pair.
+            Only with ``return_loss=True``: what the model misses, in parts of the response of an
+            output (with its harmonics) to an input, rms over frequencies up to ω/2 or the fastest
+            mode; worst pair.
 
         Raises
         ------

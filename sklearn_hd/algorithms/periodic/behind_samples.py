@@ -21,11 +21,7 @@ from scipy import linalg, optimize
 from sklearn_hd.algorithms.linalg.rounding import EPS, EXACT, HALF
 from sklearn_hd.algorithms.lti.simulation import discrete_to_continuous
 from sklearn_hd.algorithms.periodic.floquet import scaled_product, separated_factors, steps_between
-from sklearn_hd.algorithms.periodic.floquet_coordinates import (
-    FloquetForm,
-    floquet_coordinates,
-    shape_sizes,
-)
+from sklearn_hd.algorithms.periodic.floquet_coordinates import FloquetForm, floquet_coordinates
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, trimmed_harmonics
 from sklearn_hd.algorithms.periodic.periodic_realization import (
     FloquetError,
@@ -169,18 +165,16 @@ class Turn:
         """
         F, seen, form = self._in_coordinates(self.fine, rows)
         now = self._in_coordinates(self.psi, rows)[1][:, self.n_outputs :]
-        P, Gamma = seen[:, : self.n_outputs], np.linalg.solve(np.roll(now, -1, axis=0), self.B)
-        if rows is None:
-            sizes = shape_sizes(P, form)
-            P, Gamma = P / sizes, sizes[:, None] * Gamma
-        F, P = _resolved(F), _resolved(P)
+        Gamma = np.linalg.solve(np.roll(now, -1, axis=0), self.B)
+        F, P = (_resolved(values) for values in (F, seen[:, : self.n_outputs]))
         G = input_matrix(F, Gamma, self.psi[0], self.omega)
         return ContinuousModel(F, G, P, self.D, rows, form)
 
     def _in_coordinates(self, psi, rows):
         """F, what outputs and discrete states see, and the Floquet form."""
         if rows is None:
-            return floquet_coordinates(self.shapes, psi, self.omega)
+            units = np.repeat([1.0, 0.0], [self.n_outputs, len(self.shapes.R)])  # not of states
+            return floquet_coordinates(self.shapes, psi, self.omega, units)
         seen, _ = self.shapes(psi)
         F = self.shapes.state_matrix(psi, self.omega, rows)
         return F, seen @ np.linalg.inv(seen[:, rows]), None

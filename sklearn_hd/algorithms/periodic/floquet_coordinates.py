@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from sklearn_hd.algorithms.linalg.rounding import EPS
 from sklearn_hd.algorithms.periodic.multipliers import SEPARATION
 from sklearn_hd.algorithms.periodic.periodic_realization import FloquetError
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
@@ -47,8 +48,11 @@ class FloquetForm:
         return np.tensordot(harmonic_functions(psi, range(2)), coefficients, 1)
 
 
-def floquet_coordinates(shapes, psi, omega):
+def floquet_coordinates(shapes, psi, omega, units=None):
     """F and P at some phases, in Floquet coordinates.
+
+    Each mode's shape has an rms of one over a turn, whatever the states were that it was found
+    from; without a form, all shapes together.
 
     Parameters
     ----------
@@ -56,6 +60,8 @@ def floquet_coordinates(shapes, psi, omega):
     psi : ndarray, shape (n_points,)
     omega : float
         rad/s.
+    units : ndarray, shape (l,), optional
+        By which outputs are multiplied before their shapes have that size; ones by default.
 
     Returns
     -------
@@ -82,10 +88,15 @@ def floquet_coordinates(shapes, psi, omega):
     back = turn.mT
     spin = np.zeros((n, n))
     spin[:n_flips, :n_flips] = linalg.block_diag(*[0.5 * omega * QUARTER] * (n_flips // 2))
+    n_points = 4 * shapes.coefficients.shape[1]  # for all harmonics of squares
+    seen = shapes(2.0 * np.pi * np.arange(n_points) / n_points)[0]
+    seen = seen if units is None else units[:, None] * seen
     modes = _modes(shapes.R, n_flips)
     if modes is None:
-        return spin + turn @ shapes.R @ back, P @ back, None
+        size = np.sqrt(np.mean(np.sum(seen**2, axis=(1, 2))))
+        return spin + turn @ shapes.R @ back, P @ back / (size or 1.0), None
     to_modal, form = _form(*modes, spin, n_flips)
+    to_modal = to_modal / _sizes(seen @ to_modal, form)
     return form(psi), P @ to_modal @ back, form
 
 
@@ -155,21 +166,14 @@ def _form(exponents, V, spin, n_flips):
 # ---- the scale of each mode --------------------------------------------------------------------
 
 
-def shape_sizes(P, form):
-    """The rms of each mode's shape over a turn, for each coordinate; one of all without a form.
-
-    States divided by it move the outputs by as much as their own size, whatever the states were
-    that the modes were found from.
-
-    Parameters
-    ----------
-    P : ndarray, shape (n_points, l, n)
-    form : FloquetForm or None
-    """
-    squares, n = np.mean(np.sum(P**2, axis=1), axis=0), P.shape[2]
-    starts = [0] if form is None else [at for _, at in form.columns]
-    sizes = np.sqrt(np.add.reduceat(squares, starts))
-    return np.repeat(np.where(sizes > 0.0, sizes, 1.0), np.diff([*starts, n]))
+def _sizes(P, form):
+    """The rms of each mode's shape, of both columns of a pair; one where rounding is all of it."""
+    squares = np.mean(np.sum(P**2, axis=1), axis=0)
+    for kind, at in form.columns:
+        if kind == PAIR:
+            squares[at : at + 2] = squares[at : at + 2].sum()
+    sizes = np.sqrt(squares)
+    return np.where(sizes > EPS * sizes.max(), sizes, 1.0)
 
 
 def fixed_scale(structure, theta, form):

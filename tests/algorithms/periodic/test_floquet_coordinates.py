@@ -1,14 +1,16 @@
 """Laws of the coordinates in which a periodic system is as constant as can be."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from periodic_cases import similar
 from scipy import linalg, sparse
 
 from sklearn_hd.algorithms.periodic.floquet_coordinates import (
+    _half_turns,
     fixed_scale,
     floquet_coordinates,
-    shape_sizes,
 )
 from sklearn_hd.algorithms.periodic.periodic_realization import FloquetShapes
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
@@ -70,22 +72,29 @@ def test_coordinates_repeat_with_the_period(name):
     assert here[2].n_harmonics == int(name in ("negative", "four negative", "all kinds"))
 
 
+@pytest.mark.parametrize("units", [None, np.array([1e3, 0.0])])
 @pytest.mark.parametrize("name", CASES)
-def test_shapes_of_size_one_belong_to_the_same_exponents(name):
-    """In states of any scale, dividing each mode by its size leaves F and makes the sizes one."""
-    psi = 2.0 * np.pi * np.arange(16) / 16
-    F, P, form = floquet_coordinates(shapes_of(name), psi, OMEGA)
-    sizes = shape_sizes(P, form)
-    np.testing.assert_allclose(sizes[:, None] * F / sizes, F, atol=1e-12)
-    np.testing.assert_allclose(shape_sizes(P / sizes, form), 1.0, rtol=1e-12)
-    np.testing.assert_allclose(shape_sizes(1e5 * P, form), 1e5 * sizes, rtol=1e-12)
+def test_each_mode_has_a_shape_of_size_one(name, units):
+    """Of two that change sign together each has, too, and a pair has; whatever the states were."""
+    shapes, psi = shapes_of(name), 2.0 * np.pi * np.arange(32) / 32
+    n, n_flips = len(shapes.R), int(np.sum(shapes.flips))
+    _, P, form = floquet_coordinates(shapes, psi, OMEGA, units)
+    modal = P @ _half_turns(psi, n, n_flips) * (1.0 if units is None else units[:, None])
+    squares = np.mean(np.sum(modal**2, axis=1), axis=0)
+    pairs = [at for kind, at in form.columns if kind == "pair"]
+    alone = np.setdiff1d(np.arange(n), [*pairs, *(at + 1 for at in pairs)])
+    np.testing.assert_allclose(squares[pairs] + squares[[at + 1 for at in pairs]], 1.0, rtol=1e-9)
+    np.testing.assert_allclose(squares[alone], 1.0, rtol=1e-9)
+    larger = replace(shapes, coefficients=1e5 * shapes.coefficients)
+    np.testing.assert_allclose(floquet_coordinates(larger, psi, OMEGA, units)[1], P, atol=1e-9)
 
 
-def test_shapes_without_a_form_have_one_size_and_unseen_modes_keep_theirs():
-    P = np.array([[[3.0, 4.0]]])
-    np.testing.assert_allclose(shape_sizes(P, None), [5.0, 5.0])
-    form = floquet_coordinates(shapes_of("real"), np.zeros(1), OMEGA)[2]
-    np.testing.assert_array_equal(shape_sizes(np.zeros((1, 2, 3)), form), 1.0)
+def test_a_mode_that_no_output_sees_keeps_its_size():
+    shapes = shapes_of("real")
+    unseen = replace(
+        shapes, coefficients=shapes.coefficients * np.array([1, 0, 1])[:, None, None, None]
+    )
+    assert np.isfinite(floquet_coordinates(unseen, np.zeros(1), OMEGA)[1]).all()
 
 
 def test_modes_too_close_have_no_form():
@@ -94,6 +103,8 @@ def test_modes_too_close_have_no_form():
     F, P, form = floquet_coordinates(shapes, np.zeros(3), OMEGA)
     assert form is None
     np.testing.assert_array_equal(F, np.broadcast_to(R, (3, 2, 2)))
+    turn = floquet_coordinates(shapes, np.linspace(0.0, 2.0 * np.pi, 9)[1:], OMEGA)[1]
+    assert np.mean(np.sum(turn**2, axis=(1, 2))) == pytest.approx(1.0)  # of both together
     assert P.shape == (3, 1, 2)
 
 
