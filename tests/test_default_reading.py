@@ -211,6 +211,7 @@ def test_the_other_reading_is_taken_where_it_is_surer(seed):
     ("second", "first", "kept"),
     [
         ((0.03, 0.5, False), (0.04, 0.1, False), True),  # nothing speaks against either: by errors
+        ((0.06, 0.5, False), (0.3, 0.1, False), False),  # unless the other's may be off, too
         ((9.0, 0.5, False), (0.3, 0.1, True), True),  # nothing speaks against one
         ((0.3, 0.1, True), (0.2, 0.01, False), False),
         ((0.3, 0.5, True), (0.4, 0.1, True), True),  # both in doubt: by errors,

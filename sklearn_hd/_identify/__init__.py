@@ -210,7 +210,7 @@ def identify_frame(X, y, settings, *delays):
         return identify_record(read_for_fit(X, y), settings, *delays)
     first, doubts, error = _attempt(X, y, settings, delays)
     asked = settings.block_rows is None and not searching()
-    if first is None or (asked and _far_off(first, doubts) > (False, DOUBT / 2.0)):
+    if first is None or (asked and _asks_for_another(_far_off(first, doubts))):
         second, others, _ = _attempt(read_as(as_frame(X), other.reading), y, settings, delays)
         if second and (first is None or _is_surer(second, others, first, doubts)):
             first, doubts = second, others
@@ -239,15 +239,24 @@ def _far_off(found, held):
     return told, min(found[0].doubt, 1.0), found[0].left
 
 
+def _asks_for_another(far):
+    """Whether a model, as :func:`_far_off` has it, is in doubt or may be off by half a doubt."""
+    return far > (False, DOUBT / 2.0)
+
+
 def _is_surer(second, others, first, doubts):
     """Whether the second of two models is to be kept.
 
     Of two in doubt it is if the first leaves far more of the record. Not the other way round: many
-    parameters for the inputs' effect within a period leave less, whatever the multipliers are.
+    parameters for the inputs' effect within a period leave less, whatever the multipliers are. Of
+    two that nothing speaks against, it has to be known better than asks for another: how far a
+    model may be off is itself not well known.
     """
     far, farther = _far_off(second, others), _far_off(first, doubts)
     if far[0] and farther[0] and farther[-1] > DECISIVE * far[-1]:
         return True
+    if not farther[0] and _asks_for_another(far):
+        return False
     return far < farther
 
 
