@@ -376,13 +376,15 @@ def test_a_simpler_model_has_modes_of_the_other_or_leaves_as_little(
 ):
     def found(left, bic, against, *exponents):
         model = SimpleNamespace(exponents=lambda: np.array(exponents, complex), omega=0.8)
-        it = _Found(knowing(noise), None, None)
+        it = _Found(knowing(noise), SimpleNamespace(order=len(exponents)), None)
         it.__dict__.update(left=SimpleNamespace(variance=left, bic=bic), model=model)
         it.__dict__.update(against=against)
         return it
 
     whole = found(4e-4, -500.0, "halves differ", -0.23, -0.365)
     assert found(left, bic, against, exponent).serves_for(whole) == serves
+    fewer_harmonics = found(4.1e-4, bic, against, -0.23, -0.365)
+    assert fewer_harmonics.serves_for(whole) == (bic < -500.0 and not against)
 
 
 @pytest.mark.parametrize(

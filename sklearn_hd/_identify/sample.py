@@ -320,9 +320,10 @@ class _Found:
 
         A mode between two that are too near for the record to tell is neither of them. Where the
         other leaves but noise, the criterion of simulations knows whether its states are there;
-        where it leaves far less, they are.
+        where it leaves far less, they are. Of its harmonics the criterion always knows.
         """
-        if self.against or (other.leaves_noise and self.left.bic > other.left.bic):
+        alike = self.chosen.order == other.chosen.order
+        if self.against or ((alike or other.leaves_noise) and self.left.bic > other.left.bic):
             return False
         if self.left.variance <= AS_LITTLE * other.left.variance:
             return True
