@@ -16,6 +16,7 @@ from sklearn_hd import (
     SpuriousModeReducer,
     StructuredMatcher,
 )
+from sklearn_hd._match import affine
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
@@ -463,9 +464,19 @@ def test_a_structure_that_asks_for_nothing_gets_the_harmonics_that_it_needs():
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:[234] of 6 exponents are in doubt")
 @pytest.mark.filterwarnings("ignore:the outputs .* do not determine the 6 states")
-def test_predictions_stay_those_of_the_samples_where_no_continuous_model_has_them():
-    """Four of six states are noise, which changes faster than 9.1 samples a turn show."""
+def test_states_of_noise_have_a_continuous_model_too():
+    """Four of six states; shapes of size one keep their match as good as that of the others."""
     u, y = record(mathieu(), 9.1)
-    with pytest.warns(IdentifiabilityWarning, match="ltp_, system_ and theta_ fail"):
-        pipe = pipeline(2.0, order=6).fit(u, y)
+    pipe = pipeline(2.0, order=6).fit(u, y)
+    assert pipe["match"].ltp_.n_states == 6
+    assert apart(pipe.predict(u), pipe[:2].predict(u)) < 0.05
+
+
+def test_predictions_stay_those_of_the_samples_where_no_continuous_model_has_them(monkeypatch):
+    words = "the matched model's response is another", IdentifiabilityWarning
+    monkeypatch.setattr(affine, "_unlike", lambda *arguments, **options: words)
+    u, y = record(mathieu(), 9.1)
+    way = r"ltp_, system_ and theta_ fail: its 2 states change faster than 9\.1 samples per turn"
+    with pytest.warns(IdentifiabilityWarning, match=f"is another; .* {way} .* lower order, or"):
+        pipe = pipeline(2.0, order=2).fit(u, y)
     pd.testing.assert_frame_equal(pipe.predict(u), pipe[:2].predict(u))
