@@ -49,8 +49,8 @@ def _warn_of_copies(experiment):
         if size[k] > 0.0 and np.ptp(inputs[:, j] - outputs[:, k]) <= EXACT * size[k]:
             warn(
                 f"the input {experiment.basis.input_signals[j]!r} has the values of the output "
-                f"{experiment.output_names[k]!r}: the model repeats them, and its R² says nothing; "
-                f"take it out of X, or out of y",
+                f"{experiment.output_names[k]!r}: the model repeats them, and R² of that output "
+                f"says nothing; take it out of X, or out of y",
                 IdentifiabilityWarning,
             )
 

@@ -50,7 +50,8 @@ class MOESPRegressor(ModelStep):
     Behind ``HarmonicAnalyzer(reading="auto")`` the estimator may change the reading. If inputs
     rest, it identifies whole periods first. If something speaks against that model, or one of its
     exponents may be off by more than 5 % of its rate, it also identifies the samples, and keeps
-    the surer model. In a search, or if ``block_rows`` is given, it tries the samples only if the
+    the surer model (of two that nothing speaks against, the samples only if they know their
+    exponents to 5 %). In a search, or if ``block_rows`` is given, it tries the samples only if the
     first reading raises an error. ``basis_.reading`` says which reading was kept.
 
     Parameters

@@ -48,7 +48,7 @@ class FloquetForm:
         return np.tensordot(harmonic_functions(psi, range(2)), coefficients, 1)
 
 
-def floquet_coordinates(shapes, psi, omega, units=None):
+def floquet_coordinates(shapes, psi, omega, units=1.0):
     """F and P at some phases, in Floquet coordinates.
 
     Each mode's shape has an rms of one over a turn, whatever the states were that it was found
@@ -60,8 +60,8 @@ def floquet_coordinates(shapes, psi, omega, units=None):
     psi : ndarray, shape (n_points,)
     omega : float
         rad/s.
-    units : ndarray, shape (l,), optional
-        By which outputs are multiplied before their shapes have that size; ones by default.
+    units : float or ndarray, shape (l,), default=1.0
+        By which outputs are multiplied before their shapes have that size.
 
     Returns
     -------
@@ -89,8 +89,8 @@ def floquet_coordinates(shapes, psi, omega, units=None):
     spin = np.zeros((n, n))
     spin[:n_flips, :n_flips] = linalg.block_diag(*[0.5 * omega * QUARTER] * (n_flips // 2))
     n_points = 4 * shapes.coefficients.shape[1]  # for all harmonics of squares
-    seen = shapes(2.0 * np.pi * np.arange(n_points) / n_points)[0]
-    seen = seen if units is None else units[:, None] * seen
+    whole = 2.0 * np.pi * np.arange(n_points) / n_points
+    seen = np.reshape(units, (-1, 1)) * shapes(whole)[0]
     modes = _modes(shapes.R, n_flips)
     if modes is None:
         size = np.sqrt(np.mean(np.sum(seen**2, axis=(1, 2))))

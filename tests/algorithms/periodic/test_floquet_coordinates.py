@@ -72,14 +72,14 @@ def test_coordinates_repeat_with_the_period(name):
     assert here[2].n_harmonics == int(name in ("negative", "four negative", "all kinds"))
 
 
-@pytest.mark.parametrize("units", [None, np.array([1e3, 0.0])])
+@pytest.mark.parametrize("units", [1.0, np.array([1e3, 0.0])])
 @pytest.mark.parametrize("name", CASES)
 def test_each_mode_has_a_shape_of_size_one(name, units):
     """Of two that change sign together each has, too, and a pair has; whatever the states were."""
     shapes, psi = shapes_of(name), 2.0 * np.pi * np.arange(32) / 32
     n, n_flips = len(shapes.R), int(np.sum(shapes.flips))
     _, P, form = floquet_coordinates(shapes, psi, OMEGA, units)
-    modal = P @ _half_turns(psi, n, n_flips) * (1.0 if units is None else units[:, None])
+    modal = P @ _half_turns(psi, n, n_flips) * np.reshape(units, (-1, 1))
     squares = np.mean(np.sum(modal**2, axis=1), axis=0)
     pairs = [at for kind, at in form.columns if kind == "pair"]
     alone = np.setdiff1d(np.arange(n), [*pairs, *(at + 1 for at in pairs)])
