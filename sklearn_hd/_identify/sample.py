@@ -315,6 +315,16 @@ class _Found:
         known = other.model.opinion.of_whole(other.model.exponents())
         return not why_unconfirmed(self.model.exponents(), known)
 
+    def lacks_harmonics_of(self, other):
+        """Whether as many states leave far more beside products, be both below a sensor's noise.
+
+        There the criterion of predictions sees no difference.
+        """
+        if self.chosen.order != other.chosen.order:
+            return False
+        own, less = (np.linalg.slogdet(one.refined.large.covariance)[1] for one in (self, other))
+        return own - less > self.choice.data.n_outputs * np.log(DECISIVE)
+
     def serves_for(self, other):
         """Whether nothing speaks against it, and it leaves as little or has modes of the other.
 
@@ -446,7 +456,8 @@ def _or_simpler(found, choice):
     if found.refined.degrees:
         simpler, way = list(simpler), found.refined.simulates
         with_products = (one for one in simpler if one.refined.degrees)
-        alike = [found, *(one for one in with_products if one.refined.simulates == way)]
+        alike = (one for one in with_products if one.refined.simulates == way)
+        alike = [found, *(one for one in alike if not one.lacks_harmonics_of(found))]
         alike.sort(key=lambda one: one.bic_of_predictions)
         found = next(one for one in alike if one.stands_beside(found))
     if not found.against and found.lasts:
