@@ -2,6 +2,7 @@
 
 import copy
 from dataclasses import replace
+from types import SimpleNamespace
 
 import control
 import matplotlib.pyplot as plt
@@ -23,7 +24,9 @@ from sklearn_hd.plotting import (
     ParticipationDisplay,
     PeriodicMatrixDisplay,
     SingularValueDisplay,
+    StepResponseDisplay,
 )
+from sklearn_hd.plotting._display import chosen_pairs
 from sklearn_hd.systems import LTPSystem, estimate_harmonic_transfer_function
 
 
@@ -206,6 +209,50 @@ def test_bode_curves_are_those_of_the_system():
     np.testing.assert_allclose(phase, g / np.abs(g), atol=1e-12)
     assert np.abs(np.diff(display.phase_lines_[key].get_ydata())).max() < 180.0
     assert display.axes_[0].get_title("left") == "u1_0 → y_1c"
+
+
+@pytest.mark.parametrize("display", [BodeDisplay, StepResponseDisplay])
+def test_of_many_pairs_those_of_the_lowest_harmonics_are_drawn(display):
+    hd = mathieu().harmonic_decomposition(3)
+    count = len(hd.output_labels) * len(hd.input_labels)
+    lowest = [name for name in hd.output_labels if name.endswith("_0")]
+    drawn = display.from_systems(hd)
+    lines = drawn.lines_ if display is StepResponseDisplay else drawn.magnitude_lines_
+    assert list(lines) == [("model", name, "u1_0") for name in lowest]
+    told = f"{len(lowest)} of {count} pairs: the lowest harmonic of each signal\n"
+    assert [axis.get_title("left").startswith(told) for axis in drawn.axes_].count(True) == 1
+    assert drawn.axes_[0].get_title("left").startswith(told)
+    asked = display.from_systems(hd, outputs=["y_1c"]).axes_[0].get_title("left")
+    assert "pairs" not in asked
+
+
+@pytest.mark.parametrize(
+    ("inputs", "outputs", "n_asked", "shown", "words"),
+    [
+        (30, 40, 0, (24, 1), "24 of 1200 pairs: the first signals\n"),
+        (4, 40, 0, (4, 6), "24 of 160 pairs: the first signals\n"),
+        (40, 30, 30, (1, 30), "30 of 1200 pairs: the first signals\n"),
+        (4, 6, 0, (4, 6), ""),
+    ],
+)
+def test_of_many_pairs_without_harmonics_the_first_are_drawn(
+    inputs, outputs, n_asked, shown, words
+):
+    names = [f"u_{i}" for i in range(inputs)], [f"y_{o}" for o in range(outputs)]
+    display = SimpleNamespace(input_names=names[0], output_names=names[1])
+    pairs, _, told = chosen_pairs(None, names[1][:n_asked] or None, display)
+    assert told == words
+    assert len(pairs) == shown[0] * shown[1]
+    assert {i for _, i in pairs} == set(range(shown[0]))
+    assert {o for o, _ in pairs} == set(range(shown[1]))
+
+
+def test_a_signal_without_a_mean_is_drawn_at_its_own_lowest_harmonic():
+    outputs = ["w_0", "phi_1c", "phi_1s"] + [f"w_{k}{cs}" for k in range(1, 6) for cs in "cs"]
+    display = SimpleNamespace(input_names=["u_0", "v_0"], output_names=outputs)
+    pairs, _, told = chosen_pairs(None, None, display)
+    assert pairs == [(o, i) for i in range(2) for o in range(3)]
+    assert told == "6 of 26 pairs: the lowest harmonic of each signal\n"
 
 
 def test_the_truth_may_have_more_signals_than_the_models():

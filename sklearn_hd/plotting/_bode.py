@@ -149,7 +149,8 @@ class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude an
         Parameters
         ----------
         inputs, outputs : sequence of str, optional
-            Coefficients to draw; all by default.
+            Coefficients to draw; by default all, and of more than 24 pairs those of each signal's
+            lowest harmonic (the first 24 pairs at most), as the title of the first panel says.
         units : dict, optional
             Unit of each signal, or of its coefficients, for the labels.
 
@@ -158,7 +159,7 @@ class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude an
         ValueError
             If a signal asked for is not there.
         """
-        pairs, (rows, columns) = chosen_pairs(inputs, outputs, self)
+        pairs, (rows, columns), words = chosen_pairs(inputs, outputs, self)
         cells = [(2 * r + half, c) for r, c in places(len(pairs), columns) for half in (0, 1)]
         size = max(5.0, 3.2 * columns), 0.6 + (4.4 if rows == 1 else 3.4) * rows
         panels = self._panels(ax, size, cells, heights=[1.3, 1.0] * rows, share_x="all")
@@ -177,6 +178,7 @@ class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude an
             if k % columns == 0:
                 panels.axes[2 * k].set_ylabel(panels.axes[2 * k].get_ylabel() or "magnitude")
                 panels.axes[2 * k + 1].set_ylabel("phase (deg)")
+        dress(first, title=words + first.get_title("left"))
         if shared:
             first.set_autoscalex_on(True)
             first.autoscale_view(scaley=False)

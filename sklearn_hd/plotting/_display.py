@@ -62,6 +62,7 @@ BARS = (
     {"color": GREY, "edgecolor": "white", "hatch": "++"},
 )
 SMALLEST = 6.0  # points, of letters
+MOST_PAIRS = 24  # of signals: four columns of six; with more, drawing takes minutes
 LEVEL = 0.95
 REACH = norm.ppf(0.5 + 0.5 * LEVEL)  # standard deviations to either side
 CONFIDENCE, NARROW = f"{100 * LEVEL:g} % confidence", 2.0  # points: a line's width, 1.5, and edges
@@ -455,13 +456,41 @@ def chosen(wanted, names, what):
 
 
 def chosen_pairs(inputs, outputs, display):
-    """Places of (output, input) of the panels asked for, and rows and columns for them."""
-    pairs = [
-        (o, i)
-        for i in chosen(inputs, display.input_names, "inputs")
-        for o in chosen(outputs, display.output_names, "outputs")
-    ]
-    return pairs, grid_of(len(pairs), most=3 if len(pairs) <= 6 else 4)
+    """Places of (output, input) of the panels, rows and columns for them, and words for the title.
+
+    Where there are more than ``MOST_PAIRS``, signals that were not asked for are left out: higher
+    harmonics first, then the last signals. The words say so; they are empty where all are drawn.
+    """
+    names = display.input_names, display.output_names
+    shown = [chosen(inputs, names[0], "inputs"), chosen(outputs, names[1], "outputs")]
+    free = [k for k, wanted in enumerate((inputs, outputs)) if wanted is None]
+    count, words = _count(shown), ""
+    if free and count > MOST_PAIRS:
+        for k in free:
+            shown[k] = _of_lowest_harmonics(names[k])
+        words = "each signal" if _count(shown) <= MOST_PAIRS else "the first signals"
+        if _count(shown) < count:
+            words = f"the lowest harmonic of {words}"
+        for k in free:  # inputs first: of each, as many outputs as there is room for
+            others = 1 if k == 0 and len(free) == 2 else len(shown[1 - k])
+            shown[k] = shown[k][: max(1, MOST_PAIRS // others)]
+        words = f"{_count(shown)} of {count} pairs: {words}\n"
+    pairs = [(o, i) for i in shown[0] for o in shown[1]]
+    return pairs, grid_of(len(pairs), most=3 if len(pairs) <= 6 else 4), words
+
+
+def _count(shown):
+    return len(shown[0]) * len(shown[1])
+
+
+def _of_lowest_harmonics(names):
+    """Places of the coefficients of each signal's lowest harmonic; all if one is no coefficient."""
+    parts = [re.fullmatch(r"(.+)_(?:0|([1-9]\d*)[cs])", name) for name in names]
+    if not all(parts):
+        return list(range(len(names)))
+    found = [(part[1], int(part[2] or 0)) for part in parts]
+    lowest = {signal: min(k for s, k in found if s == signal) for signal, _ in found}
+    return [place for place, (signal, k) in enumerate(found) if k == lowest[signal]]
 
 
 def periodic_system(estimator, display):

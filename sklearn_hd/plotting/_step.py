@@ -177,7 +177,8 @@ class StepResponseDisplay(Display, axes="one Axes for each pair of signals"):
         Parameters
         ----------
         inputs, outputs : sequence of str, optional
-            Coefficients to draw; all by default.
+            Coefficients to draw; by default all, and of more than 24 pairs those of each signal's
+            lowest harmonic (the first 24 pairs at most), as the title of the first panel says.
         units : dict, optional
             Unit of each signal, or of its coefficients, for the labels.
 
@@ -186,7 +187,7 @@ class StepResponseDisplay(Display, axes="one Axes for each pair of signals"):
         ValueError
             If a signal asked for is not there.
         """
-        pairs, (rows, columns) = chosen_pairs(inputs, outputs, self)
+        pairs, (rows, columns), words = chosen_pairs(inputs, outputs, self)
         size = max(5.0, 3.4 * columns), 0.8 + 2.4 * rows
         panels = self._panels(ax, size, places(len(pairs), columns), share_x="all")
         styles = line_styles(self.responses, self.reference)
@@ -195,7 +196,8 @@ class StepResponseDisplay(Display, axes="one Axes for each pair of signals"):
             axis = self.axes_[k]
             self._draw(o, i, axis, styles)
             source, target = self.input_names[i], self.output_names[o]
-            dress(axis, y=with_unit(target, units), title=f"{self.kind} in {source}")
+            dress(axis, y=with_unit(target, units), title=f"{words}{self.kind} in {source}")
+            words = ""  # once
             axis.axhline(0.0, color=BLACK, lw=0.6, zorder=0.5)
             if k + columns >= len(pairs):
                 axis.set_xlabel(TIME)
