@@ -616,10 +616,11 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
 
         Returns
         -------
-        tests : DataFrame, shape (n_tests, 5)
+        tests : DataFrame, shape (n_tests, 6)
             By test: ``statistic``; ``degrees`` of freedom of its χ² distribution (0 if nothing is
             left to test, because the model has parameters for it); ``p_value``; ``share`` of the
-            residuals' variance that is not noise; ``passed``.
+            residuals' variance that is not noise; ``level``, the test's share of that given;
+            ``passed``, unless ``p_value`` is below it.
 
         Raises
         ------

@@ -204,7 +204,8 @@ def scored(left, lags, level, only=None):
         "share": [max(s.statistic - s.degrees, 0.0) / left.n_rows for s in found.values()],
     }
     table = pd.DataFrame(columns, pd.Index(found, name="test"))
-    return table.assign(passed=table["p_value"] >= level / len(table))
+    table["level"] = level / len(table)
+    return table.assign(passed=table["p_value"] >= table["level"])
 
 
 def _by_colour(names, plain, coloured):

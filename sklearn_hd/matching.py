@@ -118,7 +118,8 @@ class StructuredMatcher(ModelStep):
         not white, the scores of some forty blocks of the record (the sandwich). Those of exponents
         then allow for a record of few time constants, those of parameters do not.
     residual_tests_ : DataFrame or None
-        Tests of the fitted record, as :meth:`residual_tests` gives them; None with
+        Tests of the fitted record, as :meth:`residual_tests` gives them at the level 1e-4
+        (1e-3 by default): nobody asked for them, so fewer right models may fail. None with
         ``input_noise``, with too few rows, or if the simulation overflows.
     eigenvalues_ : DataFrame
         Eigenvalues, or Floquet exponents, with the standard deviations of their real and
@@ -447,7 +448,7 @@ class StructuredMatcher(ModelStep):
 
     @property
     def residual_tests_(self):
-        """Residual tests of the fitted record, by :meth:`residual_tests` (level 1e-4)."""
+        """Residual tests of the fitted record, by :meth:`residual_tests` with ``level=1e-4``."""
         tests = self._likelihood("residual_tests_").tests
         return None if tests is None else pd.DataFrame(tests).set_index("test")
 

@@ -124,6 +124,7 @@ def test_lags_and_level():
     assert 0 < few <= 7 < many <= 30
     strict = model.residual_tests(u, y, level=0.99)
     assert (strict["passed"] == (strict["p_value"] >= 0.99 / 4)).all()
+    assert (strict["level"] == 0.99 / 4).all()  # two tables that differ in passed alone say why
 
 
 def test_a_matched_model_has_as_many_coefficients_as_were_fitted():
@@ -222,6 +223,24 @@ def test_display_of_plain_data_has_two_panels_and_the_correlations_of_the_defini
     for lag, found in ((3, e[3:] @ v[:-3]), (-2, e[:-2] @ v[2:])):
         assert np.isclose(display.cross_correlation["y0", "x0"][lag], found / size, atol=5e-3)
     assert np.isclose(display.bands["y0"], 2.5758 / np.sqrt(600), rtol=1e-3)
+
+
+@pytest.mark.parametrize("outputs", [["y"], ["y", "v"]])
+def test_titles_of_the_display_name_the_tests_that_fail_once(outputs):
+    p = {"autocorrelation": 0.2, "inputs": 0.03, "nonlinearity": 2e-5, "mean": 0.5}
+    tests = pd.DataFrame({"p_value": p, "passed": {name: p[name] > 1e-3 for name in p}})
+    pairs = pd.MultiIndex.from_product([outputs, ["u"]])
+    own = pd.DataFrame(0.01, range(1, 4), outputs)
+    crossed = pd.DataFrame(0.01, range(-3, 4), pairs)
+    bands = dict.fromkeys([*outputs, *pairs], 0.1)
+    display = ResidualDisplay(tests, own, crossed, bands=bands, n_rows=600).plot()
+    between = ": " if len(outputs) == 1 else "\nall outputs: "
+    assert [axis.get_title("left") for axis in display.axes_[:2]] == [
+        f"simulation errors{between}noise (p = 0.2)",
+        f"with u{between}not noise\nnonlinearity: p = 2e−5",
+    ]
+    rest = [axis.get_title("left") for axis in display.axes_[2:]]
+    assert rest == ["simulation errors", "with u"] * (len(outputs) - 1)
 
 
 @pytest.mark.slow

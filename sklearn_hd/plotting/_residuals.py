@@ -38,13 +38,14 @@ class ResidualDisplay(Display, axes="two Axes an output, three of a machine that
     Of noise, 99 % of the correlations lie within the shaded band. It allows for the colour of
     residuals and inputs (Ljung 1999, Eq. 16.69). Correlations with inputs yet to come (τ < 0)
     tell of feedback. By azimuth: the mean, which unmodelled loads move, with its 99 % interval,
-    and the standard deviation about it. Titles have the tests of
+    and the standard deviation about it. Titles of the first row have the tests of
     :meth:`MOESPRegressor.residual_tests`, which allow for the parameters fitted and take all
-    outputs together.
+    outputs together: the smallest p-value, or each test that fails. Correlations may lie in the
+    band where a test fails, such as that of nonlinearity.
 
     Parameters
     ----------
-    tests : DataFrame, shape (n_tests, 5)
+    tests : DataFrame, shape (n_tests, 6)
         As ``residual_tests`` gives them.
     autocorrelation : DataFrame, shape (n_lags, n_outputs)
         By lag, from 1.
@@ -115,7 +116,8 @@ class ResidualDisplay(Display, axes="two Axes an output, three of a machine that
         lags : int, default=25
             Rows before and after that are drawn.
         level : float, default=0.001
-            Share of right models that fail one of the tests.
+            Share of right models that fail one of the tests. ``residual_tests_`` of a
+            StructuredMatcher were made at 1e-4: there a test may pass that fails here.
 
         Raises
         ------
@@ -165,14 +167,20 @@ class ResidualDisplay(Display, axes="two Axes an output, three of a machine that
         size = 3.6 * columns + 0.6, 0.7 + 2.3 * len(shown)
         panels = self._panels(ax, size, list(np.ndindex(len(shown), columns)))
         self.bars_, self.lines_, self.phase_lines_ = {}, {}, {}
-        for name, row in zip(shown, panels.axes.reshape(len(shown), columns), strict=True):
+        rows = panels.axes.reshape(len(shown), columns)
+        for name, row in zip(shown, rows, strict=True):
             row = iter(row)
             self._draw_own(name, next(row))
             if inputs:
                 self._draw_inputs(name, inputs, next(row))
             if self.by_phase is not None:
                 self._draw_phases(name, next(row), units)
-        last = panels.axes.reshape(len(shown), columns)[-1]
+        asked = [("autocorrelation", "autocorrelation by phase")]
+        asked += [("inputs", "inputs by phase", "nonlinearity")] if inputs else []
+        asked += [("loads",)] if self.by_phase is not None else []
+        for axis, tests in zip(rows[0], asked, strict=True):
+            dress(axis, title=axis.get_title("left") + self._verdict(*tests))
+        last = rows[-1]
         for axis in last[: 1 + bool(inputs)]:
             axis.set_xlabel("lag in samples (–)")
         if self.by_phase is not None:
@@ -184,19 +192,20 @@ class ResidualDisplay(Display, axes="two Axes an output, three of a machine that
         return self
 
     def _verdict(self, *tests):
-        """Which of some tests failed, or that all passed."""
+        """Which of some tests fail, or that all pass; they are of all outputs together."""
         asked = self.tests.loc[[name for name in tests if name in self.tests.index]]
-        worst = asked["p_value"].min()
-        word = "noise" if asked["passed"].all() else "not noise"
-        return f"{word} (p = {number(worst, 1)})" if len(asked) else ""
+        failed = asked.loc[~asked["passed"], "p_value"]
+        lines = [f"{name}: p = {number(p, 1)}" for name, p in failed.items()]
+        word = "not noise" if lines else f"noise (p = {number(asked['p_value'].min(), 1)})"
+        whose = "\nall outputs: " if len(self.autocorrelation.columns) > 1 else ": "
+        return whose + "\n".join([word, *lines]) if len(asked) else ""
 
     def _draw_own(self, name, axis):
         values = self.autocorrelation[name]
         self._shade(axis, self.bands[name])
         self.bars_[name] = axis.bar(values.index, values, 0.5, color=BLUE)
         what = "prediction errors" if self.predicts else "simulation errors"
-        verdict = self._verdict("autocorrelation", "autocorrelation by phase")
-        dress(axis, y=f"{name}: autocorrelation", title=f"{what}: {verdict}")
+        dress(axis, y=f"{name}: autocorrelation", title=what)
 
     def _draw_inputs(self, name, inputs, axis):
         self._shade(axis, max(self.bands[name, i] for i in inputs))
@@ -206,8 +215,7 @@ class ResidualDisplay(Display, axes="two Axes an output, three of a machine that
             style = look | {"ms": 3.0, "lw": 0.8, "label": f"input {i}"}
             self.lines_[name, i] = axis.plot(values.index, values, **style)[0]
         words = f"with {inputs[0]}" if len(inputs) == 1 else "with the inputs"
-        verdict = self._verdict("inputs", "inputs by phase", "nonlinearity")
-        dress(axis, y=f"{name}: correlation", title=f"{words}: {verdict}")
+        dress(axis, y=f"{name}: correlation", title=words)
 
     def _draw_phases(self, name, axis, units):
         mean, std = self.by_phase[name, "mean"], self.by_phase[name, "std"]
@@ -220,8 +228,7 @@ class ResidualDisplay(Display, axes="two Axes an output, three of a machine that
         self.phase_lines_[name] = axis.plot(psi, mean, **style)[0]
         for sign in (-1.0, 1.0):
             axis.plot(psi, sign * std, **LINES[1] | {"label": "±std" if sign > 0.0 else None})
-        verdict = self._verdict("loads")
-        dress(axis, y=with_unit(name, units), title=": ".join(filter(None, ("mean, std", verdict))))
+        dress(axis, y=with_unit(name, units), title="mean, std")
         axis.set(xlim=(0, 360), xticks=range(0, 361, 90))
 
     @staticmethod
