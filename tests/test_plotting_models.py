@@ -1,6 +1,7 @@
 """Displays of models: singular values, eigenvalues, frequency responses, periodic matrices."""
 
 import copy
+import itertools
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -60,6 +61,23 @@ def test_singular_values_are_those_of_the_model():
     np.testing.assert_array_equal(display.kept_.get_xdata(), np.arange(1, model.order_ + 1))
     assert display.floor_.get_ydata()[0] == model.noise_floor_
     assert display.ax_.get_yscale() == "log"
+
+
+@pytest.mark.parametrize("least", [0.6, 0.02, 2e-4, 1e-5, 1e-12])
+def test_labels_of_what_simulations_left_are_there_and_apart(least):
+    order, every = np.arange(1, 9), np.ones(8, dtype=bool)
+    search = {"order": order, "feedthrough": every, "stable": every, "bic": -order}
+    search["share"] = np.geomspace(1.0, least, 8)
+    display = SingularValueDisplay(np.geomspace(100.0, 1.0, 20), 4, search=search).plot()
+    display.figure_.draw_without_rendering()
+    axis = display.left_.axes
+    low, high = axis.get_ylim()
+    ticks = [*axis.yaxis.get_major_ticks(), *axis.yaxis.get_minor_ticks()]
+    labels = [tick.label2 for tick in ticks if low <= tick.get_loc() <= high]
+    boxes = [label.get_window_extent() for label in labels if label.get_text()]
+    boxes.sort(key=lambda box: box.y0)
+    assert len(boxes) >= 2
+    assert all(upper.y0 > lower.y1 for lower, upper in itertools.pairwise(boxes))
 
 
 def test_a_search_that_lacks_something_is_refused():
@@ -422,6 +440,20 @@ def test_rounding_is_not_magnified():
     display = PeriodicMatrixDisplay.from_systems(LTPSystem(F, [[1.0]], omega=1.0))
     low, high = display.axes_[0].get_ylim()
     assert high - low > 0.5
+
+
+def test_ticks_of_small_panels_are_those_of_the_layout():
+    """The layout gives panels another height, and the room for letters that they had before."""
+    display = PeriodicMatrixDisplay.from_systems(cases.large_system(4))
+    display.figure_.draw_without_rendering()
+    ticks = [axis.get_yticks() for axis in display.axes_]
+    width, height = display.figure_.get_size_inches()
+    display.figure_.set_size_inches(width, 1.4 * height)
+    display.figure_.draw_without_rendering()
+    for axis, before in zip(display.axes_, ticks, strict=True):
+        np.testing.assert_array_equal(axis.get_yticks(), before)
+    labels = [label for axis in display.axes_[::4] for label in axis.get_yticklabels()]
+    assert min(label.get_window_extent().x0 for label in labels) >= 0.0
 
 
 def test_matrices_of_other_coordinates_are_not_compared():

@@ -170,8 +170,12 @@ class SingularValueDisplay(Display):
         order, share = drawn["order"], drawn["share"]
         style = {"color": ORANGE, "lw": 1.3, "ms": 5, "label": "left by simulations"}
         (self.left_,) = ax.semilogy(order, share, "s-", **style)
-        for format_of in (ax.yaxis.set_major_formatter, ax.yaxis.set_minor_formatter):
-            format_of("{x:.3g}")
+        span = share.max() / share.min()
+        if span < 1e4:  # else powers of ten are enough
+            subs = (1.0, 2.0, 5.0) if span > 4.0 else np.arange(1.0, 10.0)
+            ax.yaxis.get_major_locator().set_params(subs=subs)
+        ax.yaxis.set_major_formatter("{x:.3g}")
+        ax.yaxis.set_minor_formatter("")  # letters would cover each other
         ax.set_ylabel("share of the outputs left (–)")
 
     def _gap(self, values):

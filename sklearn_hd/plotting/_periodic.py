@@ -315,6 +315,8 @@ class PeriodicMatrixDisplay(Display, axes="one Axes an entry, row by row"):
             below = "ψ (deg)" if i == shape[0] - 1 else None
             dress(axis, title=title, small=small, x=below, y=unit)
             axis.set(xlim=(0, 360), xticks=(0, 90, 180, 270, 360) if not small else (0, 180, 360))
+            if small:  # ticks that change with the height would not be those of the layout
+                axis.yaxis.get_major_locator().set_params(nbins=4)
         self.legend_ = panels.legend() if len(self.values) > 1 else None
         return self
 
