@@ -306,6 +306,27 @@ def test_predictions_come_in_the_container_of_y_and_segment_by_segment(rng):
     np.testing.assert_allclose(given.iloc[-50:], found.iloc[-50:], atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    "step", [MOESPRegressor(2), SpuriousModeReducer(), StructuredMatcher(criterion="output_error")]
+)
+def test_a_step_without_a_gain_says_how_to_predict_ahead(step):
+    assert not hasattr(step, "predict_ahead")
+    way = (
+        f"this {type(step).__name__} has no predict_ahead.*criterion='prediction_error'.*"
+        f"disturbance_model=True, weighting='pbsid'"
+    )
+    with pytest.raises(AttributeError, match=way):
+        step.predict_ahead(None, None)
+
+
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.IdentifiabilityWarning")
+def test_a_horizon_of_a_reduced_model_is_refused(rng):
+    u, y, _ = disturbed(rng, 2, 1, 1).simulate(rng, 400)
+    reducer = SpuriousModeReducer(MOESPRegressor(2)).fit(u, y)
+    with pytest.raises(ValueError, match="this SpuriousModeReducer has no Kalman gain; use"):
+        simulation_scorer(r2_score, horizon=1)(reducer, u, y)
+
+
 def test_predictions_want_a_gain(rng):
     u, y, _ = disturbed(rng, 2, 1, 1).simulate(rng, 400)
     model = MOESPRegressor(2)
