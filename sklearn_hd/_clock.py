@@ -57,7 +57,7 @@ class TimeBase:
             yield rows, self.records[first]
 
 
-def read_time(data, sample_time=None, time_origin=None, row_time=None):
+def read_time(data, sample_time=None, time_origin=None, row_time=None, of_fit=False):
     """Time base of a frame, Series or array.
 
     Steps between 0.6 and 1.4 sample times are consecutive: rows whose instants
@@ -76,6 +76,8 @@ def read_time(data, sample_time=None, time_origin=None, row_time=None):
         first of them; None refuses dates.
     row_time : float, optional
         Seconds from one counted sample to the next; 1.0 by default.
+    of_fit : bool, default=False
+        Whether ``sample_time`` is that of the data at fit, for messages.
 
     Returns
     -------
@@ -100,7 +102,7 @@ def read_time(data, sample_time=None, time_origin=None, row_time=None):
         found = float(np.median(first))
         if sample_time is None:
             sample_time = found
-        _check_sample_time(sample_time, found, 0.0)
+        _check_sample_time(sample_time, found, 0.0, of_fit)
         segments = tuple(slice(a, b) for a, b in itertools.pairwise(bounds))
         records = tuple(_label(index, a) for a in bounds[:-1])
         return TimeBase(seconds, segments, records, sample_time, counted)
@@ -124,7 +126,7 @@ def read_time(data, sample_time=None, time_origin=None, row_time=None):
     if sample_time is None:
         sample_time = found
     if not counted and steps.size:
-        _check_sample_time(sample_time, found, uncertainty)
+        _check_sample_time(sample_time, found, uncertainty, of_fit)
     return TimeBase(
         seconds, tuple(segments), tuple(records), sample_time, counted, jitter, uncertainty
     )
@@ -220,15 +222,21 @@ def _alike(seconds, bounds):
     return bool(least > 0.0 and most - least <= ROUNDED * least)
 
 
-def _check_sample_time(given, found, uncertainty):
-    """Raise ValueError if a sample time is not that of the index."""
-    if abs(found - given) > STEP_TOLERANCE * given + STANDARD_ERRORS * uncertainty:
+def _check_sample_time(given, found, uncertainty, of_fit):
+    """Raise ValueError if a sample time, given or of the data at fit, is not that of the index."""
+    if abs(found - given) <= STEP_TOLERANCE * given + STANDARD_ERRORS * uncertainty:
+        return
+    if of_fit:
         raise ValueError(
-            f"sample_time={given:.6g} s, but the rows of the index are {found:.6g} s apart; "
-            f"leave sample_time at None if you gave it; if it is the clock of the data at fit, "
-            f"give times in seconds, resample X, use simulate of ltp_, or fit with "
-            f"HarmonicAnalyzer(reading='sample'), whose models are predicted at any clock"
+            f"the model was fitted to rows {given:.6g} s apart, but those of X are {found:.6g} s "
+            f"apart; resample X to {given:.6g} s, use simulate of ltp_, or fit with "
+            f"HarmonicAnalyzer(reading='sample'), whose models are predicted at any clock (if the "
+            f"times of X are in another unit, give seconds)"
         )
+    raise ValueError(
+        f"sample_time={given:.6g} s, but the rows of the index are {found:.6g} s apart; leave "
+        f"sample_time at None, which reads it from the index, or give the times in seconds"
+    )
 
 
 def why_short(base):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sklearn_hd._checks import SMALLEST, STANDARD_ERRORS
+from sklearn_hd._checks import STANDARD_ERRORS
 from sklearn_hd._guards import searching, warn
 from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF
 from sklearn_hd.algorithms.lti.simulation import GROWN, growth
@@ -337,16 +337,16 @@ def check_motion(facts):
     """
     if facts.still:
         raise ValueError(
-            f"input {facts.still[0]!r} is constant in the {facts.span()} (changes below "
-            f"{SMALLEST:g} count as zero), so the record does not tell its effect; choose a span "
-            f"in which it moves, or drop that input{facts.why_short}"
+            f"input {facts.still[0]!r} is constant in the {facts.span()}, so the record does not "
+            f"tell its effect; choose a span in which it moves, or drop that input"
+            f"{facts.why_short}"
         )
     moves, off = facts.outputs_move, facts.outputs_off
     if not moves.any():
         raise ValueError(
             f"all outputs are {'constant' if off.any() else 'zero'} in the {facts.span()} (after "
-            f"the trim is subtracted; changes below {SMALLEST:g} count as zero): there is no "
-            f"response to identify; check the columns of y, their units and trim_span"
+            f"the trim is subtracted): there is no response to identify; check the columns of y, "
+            f"their units and trim_span"
         )
     resting = [n for n, m, o in zip(facts.output_names, moves, off, strict=True) if o and not m]
     if resting and facts.basis.reading != "sample":  # which takes it for a load

@@ -44,6 +44,7 @@ class Timing:
     # seconds from row to row at fit, of rows that come without times later; None where those at fit
     # had none
     row_time: float | None = None
+    of_fit: bool = False  # whether sample_time is that of the data at fit, not one that was given
 
 
 @dataclass(frozen=True, eq=False)

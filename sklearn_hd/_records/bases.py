@@ -167,7 +167,7 @@ def _grid(analyzer, inputs, highest, rows, timing, omega):
         return *_varying_speed(analyzer, inputs, highest, rows, omega), timing
     spp, step, resampled = _constant_speed(analyzer, inputs.base, highest, rows, omega)
     own = inputs.base.sample_time if resampled else step
-    return spp, step, replace(timing, sample_time=own, resampled=resampled)
+    return spp, step, replace(timing, sample_time=own, resampled=resampled, of_fit=True)
 
 
 def _constant_speed(analyzer, base, highest, rows, omega):

@@ -93,7 +93,7 @@ def read_signals(X, timing=PLAIN.timing):
     """
     X = as_container(X, "X")
     names = signal_names(X, "x")
-    base = read_time(X, timing.sample_time, timing.time_origin, timing.row_time)
+    base = read_time(X, timing.sample_time, timing.time_origin, timing.row_time, timing.of_fit)
     values = check_values(to_float(X, "X"), names, base.time, "X", timing.missing)
     signals = Signals(values, names, base)
     return signals if timing.azimuth is None else _set_azimuth_apart(signals, timing)
