@@ -337,33 +337,34 @@ def check_motion(facts):
     """
     if facts.still:
         raise ValueError(
-            f"input {facts.still[0]!r} is constant in the {facts.span()}, so the record does not "
+            f"input {facts.still[0]!r} is constant in the {facts.span}, so the record does not "
             f"tell its effect; choose a span in which it moves, or drop that input"
             f"{facts.why_short}"
         )
     moves, off = facts.outputs_move, facts.outputs_off
     if not moves.any():
         raise ValueError(
-            f"all outputs are {'constant' if off.any() else 'zero'} in the {facts.span()} (after "
+            f"all outputs are {'constant' if off.any() else 'zero'} in the {facts.span} (after "
             f"the trim is subtracted): there is no response to identify; check the columns of y, "
             f"their units and trim_span"
         )
     resting = [n for n, m, o in zip(facts.output_names, moves, off, strict=True) if o and not m]
     if resting and facts.basis.reading != "sample":  # which takes it for a load
         warn(
-            f"the outputs {resting} are constant, but not zero, in the {facts.span()}: no input "
+            f"the outputs {resting} are constant, but not zero, in the {facts.span}: no input "
             f"explains them; subtract their rest values (trim_span), or drop them",
             IdentifiabilityWarning,
         )
     if facts.together:
         warn(
-            f"the inputs {list(facts.together)} never move separately in the {facts.span()} (they "
+            f"the inputs {list(facts.together)} never move separately in the {facts.span} (they "
             f"are copies or sums of each other): the record determines only their joint effect, "
             f"and the smallest coefficients are taken; drop all but one, or record each moving by "
             f"itself",
             IdentifiabilityWarning,
         )
-    idle = [name for name, moves in zip(facts.drive_names, facts.moving, strict=True) if not moves]
+    names = facts.basis.drive_labels
+    idle = [name for name, moves in zip(names, facts.moving, strict=True) if not moves]
     if idle:
         effect = "their effect is not identified, and their columns of B are zero"
         if facts.basis.reading == "period":
@@ -371,7 +372,7 @@ def check_motion(facts):
                 "their columns of B are zero; StructuredMatcher fits the effect of inputs within "
                 "the period"
             )
-        warn(f"the inputs {idle} are at rest in the {facts.span()}: {effect}", ExcitationWarning)
+        warn(f"the inputs {idle} are at rest in the {facts.span}: {effect}", ExcitationWarning)
 
 
 def motion_kept(measured, sampling, basis, taken):

@@ -10,7 +10,7 @@ import pandas as pd
 from scipy import linalg
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_hd._checks import check_weight
+from sklearn_hd._checks import RAISE, check_weight
 from sklearn_hd._containers import without_inputs
 from sklearn_hd._excitation import warn_of_another_orbit
 from sklearn_hd._frame import SampleSimulator
@@ -406,7 +406,7 @@ def scored_simulation(step, X, y, horizon=None):
         within = piece.rows_between(counted.start, counted.stop)
         measured = experiment.measured[piece.rows][within]
         own = np.arange(within.start, within.stop)
-        if experiment.has_gaps:  # rows that were bridged do not count
+        if experiment.basis.timing.missing != RAISE:  # rows that were bridged do not count
             kept = np.isfinite(measured).all(axis=1)
             measured, own = measured[kept], own[kept]
             within = own

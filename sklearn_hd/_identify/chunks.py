@@ -79,7 +79,7 @@ class Stream:
     @classmethod
     def begin(cls, experiment, block_rows, forgetting, origin=None):
         """A stream of no rows, of data such as those of an experiment."""
-        basis, n_drive = experiment.basis, len(experiment.drive_names)
+        basis, n_drive = experiment.basis, len(experiment.basis.drive_labels)
         channels = Channels(n_drive, len(experiment.output_names))
         if basis.harmonic:
             highest = basis.rows_per_period // 2
@@ -113,9 +113,10 @@ class Stream:
         for s, (time, label) in enumerate(zip(experiment.times(), base.records, strict=True)):
             start, ahead = clock[base.segments[s].start], clock[base.segments[s].start] - time[0]
             rows = time, experiment.inputs[s], experiment.outputs[s]
-            if s == 0 and base.counted and stream._counts_on(start, label):
+            more = stream.record is not None and stream.record.label == label
+            if s == 0 and base.counted and more and start <= 0.0:  # counted from 0 again
                 rows = stream._continued(*rows)
-            elif stream.record is not None and stream.record.label == label:
+            elif more:
                 rows = stream._brought(time, ahead, rounding), *rows[1:]
                 ahead = stream.record.ahead
             goes_on = stream._goes_on(rows[0], label)
@@ -158,10 +159,6 @@ class Stream:
                 f"the rows of this chunk are {dt:.6g} s apart, those of the first one "
                 f"{self.sample_time:.6g} s; resample the chunk"
             )
-
-    def _counts_on(self, start, label):
-        """Whether rows are counted from 0 where a record goes on."""
-        return self.record is not None and self.record.label == label and start <= 0.0
 
     def _brought(self, time, ahead, rounding):
         """Times counted from another ψ = 0 as those of the open record are.
@@ -347,7 +344,7 @@ def model_so_far(stream, settings):
     try:
         return identify(data, settings), data.n_effective_rows
     except ValueError as error:  # which rows to come may mend
-        warn(f"no model of the {data.facts.span()}: {error}", IdentifiabilityWarning)
+        warn(f"no model of the {data.facts.span}: {error}", IdentifiabilityWarning)
         return None, data.n_effective_rows
 
 
@@ -364,7 +361,7 @@ def _check_half_life(experiment, settings, forgetting):
     if forgetting.half_life == np.inf:
         return
     basis, most = experiment.basis, forgetting.most_rows
-    p = len(experiment.drive_names) + len(basis.output_labels)
+    p = len(experiment.basis.drive_labels) + len(basis.output_labels)
     i = _block_rows(basis, settings, [round(most)], p)
     need = i * p + 1 + 2 * i
     if most < need:
@@ -390,7 +387,7 @@ def _suffices(data, settings):
     if facts.still or not facts.outputs_move.any():
         what = f"the inputs {list(facts.still)} are" if facts.still else "all outputs are"
         warn(
-            f"{what} at rest in the {facts.span()}: there is no model until they move in a later "
+            f"{what} at rest in the {facts.span}: there is no model until they move in a later "
             f"chunk",
             ExcitationWarning,
         )

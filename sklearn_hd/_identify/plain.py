@@ -206,13 +206,14 @@ def static_gain(facts, experiment, settings, block_rows):
     """Gain without states, all that a record too short for any dynamics gives."""
     if experiment is None:
         raise ValueError(
-            f"the {facts.span()} are too few to identify dynamics from {len(facts.drive_names)} "
-            f"input(s); for a static gain, fit all rows at once in memory"
+            f"the {facts.span} are too few to identify dynamics from "
+            f"{len(facts.basis.drive_labels)} input(s); for a static gain, fit all rows at once in "
+            f"memory"
         )
     inputs, outputs = experiment.drive, experiment.outputs
     n_outputs = outputs[0].shape[1]
     warn(
-        f"the {facts.span()} are too few to identify dynamics from {inputs[0].shape[1]} "
+        f"the {facts.span} are too few to identify dynamics from {inputs[0].shape[1]} "
         f"input(s): a static gain is fitted; use a longer record",
         ExcitationWarning,
     )

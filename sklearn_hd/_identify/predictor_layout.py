@@ -132,7 +132,7 @@ def _most(data, settings, basis):
             return count, lags
     need = max(2 * least * per_lag, 3 * least)
     raise ValueError(
-        f"the {data.facts.span()} give {n_rows} rows, the longest segment {longest}, too few for "
+        f"the {data.facts.span} give {n_rows} rows, the longest segment {longest}, too few for "
         f"a predictor of {least} lags with {count} harmonic(s) of "
         f"{data.n_inputs + data.n_outputs} signals: {need} rows in one segment would do"
         f"{data.facts.why_short}; use a longer record, fewer block_rows, a lower order, or a "

@@ -150,7 +150,7 @@ def decompose(data, block_rows, size, settings, choose=None):
     )
     if counted:
         n_moving = int(data.facts.moving.sum())
-        warn_excitation(excited, block_rows, n_moving, data.facts.span())
+        warn_excitation(excited, block_rows, n_moving, data.facts.span)
     unit, y_size = 1.0, size[m:]
     if settings.weighting != "cva":
         unit = y_size.max() * np.sqrt(np.mean((y_size / y_size.max()) ** 2))
@@ -286,7 +286,7 @@ def allowed_block_rows(settings, data, asked, *, least=2, words=None):
         )
         rows = f"{sum(data.lengths)} {unit}(s) (n_samples = {data.facts.n_samples})"
         raise ValueError(
-            f"the {data.facts.span()} give {rows}, which are too few for block_rows={i}: at least "
+            f"the {data.facts.span} give {rows}, which are too few for block_rows={i}: at least "
             f"{need + 2 * i - 1} consecutive {unit}s are needed with {n_inputs} "
             f"{moving}{data.facts.why_short}; {way_out}"
         )
@@ -382,13 +382,13 @@ def check_outputs_move(still, facts):
     names = [name for name, rests in zip(facts.output_names, still, strict=True) if rests]
     if len(names) == len(still):
         raise ValueError(
-            f"the outputs {names} repeat themselves with every turn in the {facts.span()}: there "
+            f"the outputs {names} repeat themselves with every turn in the {facts.span}: there "
             f"is no response to inputs to identify; check the columns of y, subtract offsets "
             f"beside which rounding hides their motion, or use a record in which inputs move them"
         )
     if names:
         warn(
-            f"the outputs {names} repeat themselves with every turn in the {facts.span()}: no "
+            f"the outputs {names} repeat themselves with every turn in the {facts.span}: no "
             f"input moves them (or rounding hides it: subtract large offsets), so their model is "
             f"only their loads",
             IdentifiabilityWarning,

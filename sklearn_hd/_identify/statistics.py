@@ -48,7 +48,7 @@ class Facts:
     output_names: tuple  # of str
     sample_time: float  # seconds
     n_samples: int
-    words: str  # first and last time, for messages
+    span: str  # first and last time, for messages
     moving: np.ndarray  # bool, (n_drive,): which of the drive move within some segment
     still: tuple  # of str: measured inputs that never do
     outputs_move: np.ndarray  # bool, (l,): which outputs move
@@ -91,15 +91,6 @@ class Facts:
             return self
         moving = self.moving & [name not in names for name in self.basis.drive_signals]
         return replace(self, moving=moving, still=_still(self.basis.drive_signals, moving))
-
-    @property
-    def drive_names(self):
-        """Name of each of the drive."""
-        return self.basis.drive_labels
-
-    def span(self):
-        """First and last time, worded for messages."""
-        return self.words
 
 
 def _together(experiment):

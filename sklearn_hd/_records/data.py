@@ -80,11 +80,6 @@ class Signals:
             )
         return 2.0 * np.pi * steps / turned, float(turned / passed)
 
-    def without(self, name):
-        """The signals except for one that is the azimuth."""
-        keep = [i for i, other in enumerate(self.names) if other != name]
-        return self.data[:, keep], tuple(self.names[i] for i in keep)
-
 
 def read_signals(X, timing=PLAIN.timing):
     """Float values, names and time base of a frame, Series or array.
@@ -104,7 +99,8 @@ def _set_azimuth_apart(signals, timing):
     if signals.names == (name,):
         raise ValueError(f"X holds only the azimuth {name!r}; give the inputs beside it")
     psi = _azimuth(signals.data, signals.names, base, name)
-    data, names = signals.without(name)
+    keep = [i for i, other in enumerate(signals.names) if other != name]
+    data, names = signals.data[:, keep], tuple(signals.names[i] for i in keep)
     return Signals(data, names, base, _bridged(psi[:, None], base, timing)[:, 0])
 
 
@@ -211,16 +207,6 @@ class Experiment:
     # Experiment or None: the record as it was measured, where this is one without its delays
     origin: object = None
     delays: object = None  # Delays or None: what was taken out of it
-
-    @property
-    def has_gaps(self):
-        """Whether samples may be missing."""
-        return self.basis.timing.missing != RAISE
-
-    @property
-    def drive_names(self):
-        """Name of each entry of ``drive``."""
-        return self.basis.drive_labels
 
     def times(self):
         """Time of the rows of each segment, seconds."""
