@@ -17,8 +17,8 @@ from sklearn_hd._clock import STEP_TOLERANCE, read_time, resolution
 from sklearn_hd._containers import is_partitioned
 from sklearn_hd._guards import one_blas_thread
 from sklearn_hd._identify.sliding import (
-    largest_changes,
-    modulated,
+    changes_of,
+    modulated_rows,
     n_modulating_harmonics,
     steps_at_one_phase,
 )
@@ -104,22 +104,13 @@ class Partitions:
     n_inputs = property(lambda self: self.summed.n_inputs)
     n_outputs = property(lambda self: self.summed.n_outputs)
     raw = property(lambda self: self.summed.raw)
-
-    def scales(self, scale):
-        """What channels, and drive and outputs, are divided by."""
-        return self.summed.scales(scale)
+    scales = property(lambda self: self.summed.scales)
+    input_matrices = property(lambda self: self.summed.input_matrices)
+    initial_states = property(lambda self: self.summed.initial_states)
 
     def projection(self, make, scale, *choices):
         """What ``make`` makes of the factor."""
         return make()
-
-    def input_matrices(self, A, C, feedthrough, scales):
-        """B, D and the initial states."""
-        return self.summed.input_matrices(A, C, feedthrough, scales)
-
-    def initial_states(self, A, B, C, D, K, covariance, scales):
-        """Those that leave the least innovations."""
-        return self.summed.initial_states(A, B, C, D, K, covariance, scales)
 
     def factor(self, block_rows, scale):
         """R factor of the block Hankel matrices, as ``hankel_factor`` gives."""
@@ -328,12 +319,8 @@ def _changes(partition, X, y, basis):
     if len(X) == len(y) == 0:
         return None
     experiment = _read(partition, X, y, basis)
-    times = experiment.times()
-    changes = [
-        largest_changes(basis, drive, time)
-        for drive, time in zip(experiment.drive, times, strict=True)
-    ]
-    return Changes(tuple(len(basis.rows_read(time)) for time in times), np.max(changes, axis=0))
+    lengths = tuple(len(basis.rows_read(time)) for time in experiment.times())
+    return Changes(lengths, changes_of(experiment))
 
 
 @one_blas_thread
@@ -350,10 +337,7 @@ def _partition(partition, X, y, basis, highest=0, *, n_lags):
             for u, z in zip(inputs, experiment.outputs, strict=True)
         ]
         if highest:
-            inputs = [
-                modulated(basis, drive, time, basis.rows_read(time), highest)
-                for drive, time in zip(experiment.drive, experiment.times(), strict=True)
-            ]
+            inputs = modulated_rows(experiment, highest)
         rows = [np.hstack(pair) for pair in zip(inputs, outputs, strict=True)]
         size = np.array([np.fmax.reduce(np.abs(column)) for column in experiment.measured.T])
         base, times = experiment.base, X.index.get_level_values(-1)

@@ -191,11 +191,13 @@ def _fits(data, block_rows):
 
 def changes_at_one_phase(experiment):
     """Whether all steps of the inputs fall on one sample of the period."""
-    changes = [
-        largest_changes(experiment.basis, drive, time)
-        for drive, time in zip(experiment.drive, experiment.times(), strict=True)
-    ]
-    return steps_at_one_phase(np.max(changes, axis=0))
+    return steps_at_one_phase(changes_of(experiment))
+
+
+def changes_of(experiment):
+    """Largest change of each input over all segments, by phase."""
+    pairs = zip(experiment.drive, experiment.times(), strict=True)
+    return np.max([largest_changes(experiment.basis, *pair) for pair in pairs], axis=0)
 
 
 def largest_changes(basis, drive, time):
@@ -258,12 +260,13 @@ def modulated_inputs(experiment, lengths):
     highest = n_modulating_harmonics(basis, lengths, experiment.drive[0].shape[1])
     if highest == 0:
         return None
-    return unit_size(
-        [
-            modulated(basis, u, time, basis.rows_read(time), highest)
-            for u, time in zip(experiment.drive, experiment.times(), strict=True)
-        ]
-    )
+    return unit_size(modulated_rows(experiment, highest))
+
+
+def modulated_rows(experiment, highest):
+    """The inputs of each segment times the harmonic functions, as seen in its rows."""
+    basis, parts = experiment.basis, zip(experiment.drive, experiment.times(), strict=True)
+    return [modulated(basis, u, time, basis.rows_read(time), highest) for u, time in parts]
 
 
 def inputs_by_phase(experiment):
