@@ -25,7 +25,7 @@ multipliers 1 and 1e-18, its triangular factors gave 0.012 and 1e-18.)
 """
 
 import math
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 from scipy import linalg
@@ -82,14 +82,14 @@ def by_bisection(rule, compose, weights, left, right, tolerance):
     return settle(left, right, whole, 50)  # 2⁻⁵⁰ of a period: closer to a jump than rounding tells
 
 
-@lru_cache(maxsize=4)
-def gauss_tableau(n_stages):
+@cache
+def gauss_tableau():
     """Nodes c, matrix a and weights b of Gauss collocation on [0, 1]."""
-    x, w = np.polynomial.legendre.leggauss(n_stages)
+    x, w = np.polynomial.legendre.leggauss(N_STAGES)
     legendre = np.polynomial.legendre
-    values = legendre.legvander(x, n_stages - 1)
+    values = legendre.legvander(x, N_STAGES - 1)
     integrals = np.stack(
-        [legendre.legval(x, legendre.legint(row, lbnd=-1.0)) for row in np.eye(n_stages)],
+        [legendre.legval(x, legendre.legint(row, lbnd=-1.0)) for row in np.eye(N_STAGES)],
         axis=1,
     )  # ∫ of each Legendre polynomial from −1 to each node
     return 0.5 * (x + 1.0), 0.5 * integrals @ np.linalg.inv(values), 0.5 * w
@@ -237,7 +237,7 @@ def _collocation_step(F, G, left, right, omega, units):
 
     Stages K_i = F_i (x + h Σ_j a_ij K_j) + G_i u; step h Σ_i b_i K_i.
     """
-    c, width = gauss_tableau(N_STAGES)[0], right - left
+    c, width = gauss_tableau()[0], right - left
     nodes = (left[:, None] + width[:, None] * c).ravel()
     Fs = F(nodes)
     n = Fs.shape[-1]
@@ -253,7 +253,7 @@ def collocation(values, *, adjoint):
     Stages K_q = h [F_q G_q] Z_q, X_q = x + Σ_r a_qr K_r; step x + Σ_q b_q K_q. A push of K_q
     ends up as L_q times it. ``values`` holds h [F G] at the nodes, (..., n_stages, n, n + m).
     """
-    _, a, b = gauss_tableau(N_STAGES)
+    _, a, b = gauss_tableau()
     *batch, Q, n, columns = values.shape
     coupling = values[..., :, :, None, :n] * a[:, None, :, None]
     system = np.eye(Q * n) - coupling.reshape(*batch, Q * n, Q * n)

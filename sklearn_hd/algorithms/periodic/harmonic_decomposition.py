@@ -32,7 +32,6 @@ from scipy.optimize import linear_sum_assignment
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, HALF, UNKNOWN
 from sklearn_hd.algorithms.lti.simulation import block_diagonal, frequency_response
 from sklearn_hd.algorithms.periodic.floquet import (
-    N_STAGES,
     by_bisection,
     gauss_tableau,
     neighbours,
@@ -235,7 +234,7 @@ def harmonic_sizes(vectors):
 
 def _panel_integrals(matrix, n_harmonics, left, right):
     """∫ M(ψ) (1, cos ψ, sin ψ, …) dψ over each panel by Gauss quadrature."""
-    c, _, b = gauss_tableau(N_STAGES)
+    c, _, b = gauss_tableau()
     width = right - left
     nodes = left[:, None] + width[:, None] * c
     values = matrix(nodes.ravel())

@@ -26,7 +26,6 @@ from scipy import linalg, sparse
 from sklearn_hd.algorithms.linalg.rounding import EXACT
 from sklearn_hd.algorithms.lti.structured_model import Sizes
 from sklearn_hd.algorithms.periodic.floquet import (
-    N_STAGES,
     collocation,
     gauss_tableau,
     product_of,
@@ -383,7 +382,7 @@ def _nodes(p, n_phases, n_substeps):
     """Azimuths of the collocation nodes, shape (p, n_substeps, n_stages), and the step in rad."""
     width = 2.0 * np.pi / (n_phases * n_substeps)
     starts = 2.0 * np.pi / p * np.arange(p)[:, None] + width * np.arange(n_substeps)
-    return starts[:, :, None] + width * gauss_tableau(N_STAGES)[0], width
+    return starts[:, :, None] + width * gauss_tableau()[0], width
 
 
 def _chains(steps):
