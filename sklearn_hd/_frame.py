@@ -334,8 +334,7 @@ class SampleModel:
     def exponents(self):
         """Eigenvalues in continuous time, 1/s; Floquet exponents where A varies."""
         if self.time_invariant:
-            z = self.eigenvalues().astype(complex)
-            return np.log(np.where(z == 0.0, np.finfo(float).tiny, z)) / self.dt
+            return continuous_poles(self.eigenvalues(), self.dt)
         return self.innovations.multiplier_logarithms() * self.omega / (2.0 * np.pi)
 
     def moving(self, inputs, psi):

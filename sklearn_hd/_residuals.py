@@ -140,20 +140,17 @@ def remainder(experiment, simulators, most_rows=MOST_ROWS):
     size = np.sqrt(np.mean(np.vstack([s.predicted + s.residuals for s in segments]) ** 2, axis=0))
     rest = np.sqrt(np.mean(np.vstack([s.residuals for s in segments]) ** 2, axis=0))
     kept = np.flatnonzero((rest > PRECISION * size) & (size > 0.0))
+    signals = basis.input_signals
     return Remainder(
         [s.of_outputs(kept) for s in segments],
         tuple(names[i] for i in kept),
-        _names_of_inputs(basis, at.inputs.shape[1]),
+        # measured signals, where these drive the model
+        tuple(signals if at.inputs.shape[1] == len(signals) else basis.drive_labels),
         at.predicts,
         basis.samples_per_period if basis.harmonic else None,
         at.n_loads,
         basis.about_trim,
     )
-
-
-def _names_of_inputs(basis, count):
-    """Of measured signals, where these drive the model; else of their coefficients."""
-    return tuple(basis.input_signals if count == len(basis.input_signals) else basis.drive_labels)
 
 
 def _segment(at, outputs, psi, first):

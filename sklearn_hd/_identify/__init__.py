@@ -51,7 +51,7 @@ from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
 MODULES = {"plain": plain, "sliding": sliding, "period": period, "sample": sample}
 
 
-def without_delays(experiment, delays, settings, identify):
+def without_delays(experiment, delays, settings):
     """The fit of a record in the machine's own time, its model with the delays.
 
     Parameters
@@ -60,8 +60,6 @@ def without_delays(experiment, delays, settings, identify):
         As measured.
     delays : Delays
     settings : Settings
-    identify : callable
-        ``identify(experiment, settings)`` gives a SubspaceFit.
 
     Returns
     -------
@@ -74,13 +72,13 @@ def without_delays(experiment, delays, settings, identify):
         delays = _searched(experiment, delays)
         if settings.feedthrough == "auto":  # D and fractions of a sample make up for each other
             if plain:
-                direct = _at(experiment, delays, replace(settings, feedthrough=True), identify)
+                direct = _at(experiment, delays, replace(settings, feedthrough=True))
             settings = replace(settings, feedthrough=False)
-    found = _at(experiment, delays, settings, identify)
+    found = _at(experiment, delays, settings)
     if delays.free.any() and plain and not found[0].model.feedthrough:
         refined = _refined(*found[:2])
         if refined is not None:
-            found = _at(experiment, refined, settings, identify)
+            found = _at(experiment, refined, settings)
     needs_feedthrough = direct is not None and _leaves_far_more(found, direct)
     fit, machine, held = direct if needs_feedthrough else found
     for message, category in held:
@@ -107,11 +105,11 @@ def _warn_of_whole_samples(delays):
     )
 
 
-def _at(experiment, delays, settings, identify):
+def _at(experiment, delays, settings):
     """The fit of a record without some delays, its model with them; that record; its warnings."""
     machine = in_machine_time(experiment, delays)
     with held_back() as held:
-        fit = identify(machine, settings)
+        fit = _of_record(machine, settings)
     return replace(fit, model=replace(fit.model, delays=delays)), machine, held
 
 
@@ -275,7 +273,7 @@ def identify_record(experiment, settings, input_delay=0.0, output_delay=0.0):
     if delays is None:
         fit = _of_record(experiment, settings)
     else:
-        fit, experiment = without_delays(experiment, delays, settings, _of_record)
+        fit, experiment = without_delays(experiment, delays, settings)
     basis = experiment.basis
     if fit.forced is not None:
         forced = as_measured(fit.forced, fit.model.delays, basis)

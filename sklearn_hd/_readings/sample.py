@@ -167,11 +167,6 @@ class SampleBasis(EveryRow, HarmonicBasis):
         """Names of the outputs."""
         return tuple(signal for signal, _ in self.outputs)
 
-    @property
-    def drive_signals(self):
-        """The measured signal of each input."""
-        return self.input_signals
-
     def grid(self, signals):
         """Step of the grid, fewest rows of a piece, and places of some signals on it."""
         places = signals.places(self.omega, self.sample_time / self.hop)

@@ -199,13 +199,8 @@ def most_likely(cells, most, cost, alike, search):
         )
         starts = [Cells.of(samples, m, which) for samples in minima]
     found = [through_cells(start, alike) for start in starts]
-    first, cells = min(found, key=lambda pair: result_of(pair[0]).own_cost)
+    first, cells = min(found, key=lambda pair: pair[0].result.own_cost)
     return through_cells(cells, lambda cells, before: search(cells, before or first))
-
-
-def result_of(fit):
-    """The LikelihoodResult of a fit, which it may be itself."""
-    return getattr(fit, "result", fit)
 
 
 def first_answers(segments, most, n_own, n_harmonics=0):
