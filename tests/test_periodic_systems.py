@@ -176,7 +176,7 @@ def equation_errors(noise, instruments):
         y.shape
     )
     shown = [y.to_numpy() if instruments else measured]
-    F, _ = equation_error([(measured, u.to_numpy(), 0)], system.period, 64, 1, shown)
+    F = equation_error([(measured, u.to_numpy())], system.period, 64, 1, shown)
     return np.linalg.norm(F - system.F.coefficients) / np.linalg.norm(system.F.coefficients)
 
 

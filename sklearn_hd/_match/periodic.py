@@ -155,10 +155,10 @@ def _from_equation_error(model, experiment, structure, scale):
     segments, instruments = [], []
     for u, y, clean in zip(inputs, lifted, without_noise(model.A, directions, lifted), strict=True):
         measured, shown = (each.reshape(-1, len(names))[:, rows] for each in (y, clean))
-        segments.append((measured, u.reshape(-1, u.shape[2]), 0))
+        segments.append((measured, u.reshape(-1, u.shape[2])))
         instruments.append(shown)
     count = min(EQUATION_HARMONICS, (spp - 1) // 2)
-    F, _ = equation_error(segments, 2.0 * np.pi / basis.omega, spp, count, instruments)
+    F = equation_error(segments, 2.0 * np.pi / basis.omega, spp, count, instruments)
     P = np.eye(len(names))[:, rows]
     free = {"F": F * scale[rows][:, None] / scale[rows], "P": P[None]}
     n_harmonics = {"F": given(structure, "F", count), "P": given(structure, "P", None)}

@@ -312,24 +312,23 @@ def tail_begins(values, noise):
 
 
 def equation_error(segments, period, n_phases, n_harmonics, instruments):
-    """Fourier coefficients (2 H + 1, n, n), (2 H + 1, n, m) of F(ψ) and G(ψ) from measured states.
+    """Fourier coefficients (2 H + 1, n, n) of F(ψ) from measured states.
 
-    Segments are (states, inputs, first phase), with held inputs; instruments are states of less
+    Segments are (states, inputs) from ψ = 0 on, with held inputs; instruments are states of less
     noise.
 
     Examples
     --------
     >>> x = np.exp(-0.5 * np.arange(0, 8, 0.01))[:, None]
-    >>> F, _ = equation_error([(x, np.zeros((800, 0)), 0)], 1.0, 100, 0, [x])
+    >>> F = equation_error([(x, np.zeros((800, 0)))], 1.0, 100, 0, [x])
     >>> F.round(3).tolist()
     [[[-0.5]]]
     """
     m, step = max(1, n_phases // INTERVALS), period / n_phases
     X, Z, target = [], [], []
-    for (x, u, first), z in zip(segments, instruments, strict=True):
-        functions = harmonic_functions(
-            2.0 * np.pi / n_phases * (first + np.arange(len(x))), range(n_harmonics + 1)
-        )
+    for (x, u), z in zip(segments, instruments, strict=True):
+        psi = 2.0 * np.pi / n_phases * np.arange(len(x))
+        functions = harmonic_functions(psi, range(n_harmonics + 1))
         X.append(step * _integrals(functions, x, u, m))
         Z.append(step * _integrals(functions, z, u, m))
         target.append(x[m:] - x[:-m])
@@ -338,8 +337,7 @@ def equation_error(segments, period, n_phases, n_harmonics, instruments):
     Q = linalg.qr(Z / size, mode="economic")[0]
     solution = linalg.lstsq(Q.T @ X / size, Q.T @ target, cond=1e-9)[0] / size[:, None]
     n, count = target.shape[1], 2 * n_harmonics + 1
-    F = solution[: count * n].reshape(count, n, n).transpose(0, 2, 1)
-    return F, solution[count * n :].reshape(count, -1, n).transpose(0, 2, 1)
+    return solution[: count * n].reshape(count, n, n).transpose(0, 2, 1)
 
 
 def _integrals(functions, x, u, m):
