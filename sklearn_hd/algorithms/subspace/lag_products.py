@@ -314,9 +314,8 @@ class Stretch:
 
     def closed(self):
         """The whole record as a summand."""
-        n_lags, exact = len(self.lags), self.lags.low is not None
-        if self.n_rows < n_lags:
-            return _nothing(n_lags, self.exponents, exact, (self.first,))
+        if self.n_rows < len(self.lags):
+            return _nothing(len(self.lags), self.exponents, exact=True, short=(self.first,))
         ends = (rows.reshape(1, -1) for rows in (self.first, self.last))
         return LagProducts(self.lags, *ends, self.exponents, self.n_rows)
 
@@ -325,18 +324,18 @@ def _seam(earlier, later):
     """Lag products of rows before the seam with rows after it, shape (n_lags, p, p)."""
     before = np.ldexp(earlier.last, -earlier.exponents)
     after = np.ldexp(later.first, -later.exponents)
-    n_before, n_after, exact = len(before), len(after), later.lags.low is not None
+    n_before, n_after = len(before), len(after)
     lags = []
     for lag in range(len(earlier.lags)):
         start = max(0, n_before - lag)
         stop = max(start, min(n_before, n_before + n_after - lag))
         to = slice(start + lag - n_before, stop + lag - n_before)
-        lags.append(product(before[start:stop], after[to], exact))
+        lags.append(product(before[start:stop], after[to], exact=True))
     return lags[0].map(lambda *halves: np.stack(halves), *lags[1:])
 
 
-def stretch(signals, n_lags, exact):
-    """Lag products of consecutive rows of one record.
+def stretch(signals, n_lags):
+    """Lag products of consecutive rows of one record, in exact sums.
 
     Parameters
     ----------
@@ -344,12 +343,10 @@ def stretch(signals, n_lags, exact):
         Side by side they are the channels.
     n_lags : int
         Block rows 2i, past and future, of the Hankel matrix to come; at least 2.
-    exact : bool
-        Exact sums instead of sums in double.
     """
     exponents = _power_exponents([signals])
-    ends = [_rounded([signals], part, exponents, exact)[0] for part in _ends(n_lags)]
-    lags = _lag_sums([signals], n_lags, exponents, exact)
+    ends = [_rounded([signals], part, exponents, exact=True)[0] for part in _ends(n_lags)]
+    lags = _lag_sums([signals], n_lags, exponents, exact=True)
     return Stretch(lags, *ends, exponents, len(signals[0]))
 
 

@@ -155,9 +155,7 @@ def row_sums(rows, n_lags, inputs, outputs):
     The Hankel matrix to come has ``n_lags`` (2i) block rows; B, D and the initial state are found
     from some channels as inputs and outputs.
     """
-    return RowSums(
-        stretch((rows,), n_lags, exact=True), *_correlated(rows[:, inputs], rows[:, outputs])
-    )
+    return RowSums(stretch((rows,), n_lags), *_correlated(rows[:, inputs], rows[:, outputs]))
 
 
 def correlations(records):

@@ -160,32 +160,25 @@ def test_more_lags_than_there_are_cannot_be_had(records):
 
 
 @settings(max_examples=25, deadline=None)
-@given(seed=st.integers(0, 2**20), exact=st.booleans())
-def test_chunks_join_to_the_record_in_any_grouping(seed, exact):
+@given(seed=st.integers(0, 2**20))
+def test_chunks_join_to_the_record_in_any_grouping(seed):
     rng = np.random.default_rng(seed)
     record = rng.standard_normal((40, 2)) * 10.0 ** rng.integers(-3, 4, (40, 1))
     cuts = np.unique(rng.integers(1, 40, rng.integers(1, 9)))
     chunks = np.split(record, cuts)
-    parts = [stretch((z[:, :1], z[:, 1:]), 6, exact) for z in chunks]
+    parts = [stretch((z[:, :1], z[:, 1:]), 6) for z in chunks]
     while len(parts) > 1:
         at = rng.integers(len(parts) - 1)
         parts[at : at + 2] = [parts[at].join(parts[at + 1])]
     joined = parts[0].closed()
     assert joined.n_rows == 40
-    if not exact:
-        whole = lag_products([(record,)], 6, exact=False)
-        e = np.tile(joined.exponents - whole.exponents, 6)
-        np.testing.assert_allclose(
-            np.ldexp(joined.gram().high, e[:, None] + e), whole.gram().high, atol=1e-13
-        )
-        return
     seen = np.vstack([rounded(z) for z in chunks])
     assert worst_error(joined, dense_gram([seen], 6)) < EXACT
 
 
 def test_a_record_shorter_than_its_lags_is_kept_for_fewer(rng):
     record = rng.standard_normal((5, 1))
-    parts = [stretch((z,), 6, True) for z in (record[:2], record[2:])]
+    parts = [stretch((z,), 6) for z in (record[:2], record[2:])]
     closed = parts[0].join(parts[1]).closed()
     assert closed.n_columns(6) == 0
     truth = dense_gram([rounded(closed.short[0])], 4)
