@@ -30,6 +30,7 @@ from sklearn_hd.algorithms.linalg.rounding import EPS
 from sklearn_hd.algorithms.linalg.triangular import column_sizes, solve_within_rank, triangle
 from sklearn_hd.exceptions import UnstableModelError
 
+NEAR = 1e-6  # relative residual of a match that may be exact, and needs no other start
 TOLERANCE = 1e-8  # relative decrease of the sum of squares that counts as none
 _DAMPING_LIMIT = 1e10  # times the squared singular values: steps have become rounding
 _STALLED = 1e-12  # relative fall of the sum of squares in one step
@@ -235,7 +236,7 @@ def fit_from(problem, theta, near, max_iter):
     return fit_from_the_right(problem, theta, max_iter)
 
 
-def local_fits(problem, starts, *, max_iter, near):
+def local_fits(problem, starts, *, max_iter):
     """Different least-squares matches reached from some starts, the best first.
 
     Stops early at an exact match.
@@ -247,8 +248,6 @@ def local_fits(problem, starts, *, max_iter, near):
         θ, and whether it is near, as for :func:`fit_from`.
     max_iter : int
         Largest number of steps from each.
-    near : float
-        Relative residual that counts as an exact match except for rounding.
 
     Raises
     ------
@@ -262,7 +261,7 @@ def local_fits(problem, starts, *, max_iter, near):
         if fit is None or any(_same(fit, other) for other in fits):
             continue
         fits = sorted([*fits, fit], key=lambda each: each.residual)
-        if fits[0].residual <= near:
+        if fits[0].residual <= NEAR:
             break
     if not fits:
         raise UnstableModelError(

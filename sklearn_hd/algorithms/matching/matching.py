@@ -18,6 +18,7 @@ from scipy import linalg
 
 from sklearn_hd.algorithms.linalg.rounding import PRECISION
 from sklearn_hd.algorithms.matching.least_squares import (
+    NEAR,
     TOLERANCE,
     GridFit,
     draw_transformation,
@@ -123,7 +124,7 @@ def match_structure(
     problem = MatchingProblem.build(A, B, C, D, structure, weights, bounds, emphasis)
     theta0 = None if theta0 is None else np.asarray(theta0, dtype=float)
     starts = list(starting_points(problem, theta0, n_starts, random_state))
-    fits = local_fits(problem, starts, max_iter=max_iter, near=_NEAR)
+    fits = local_fits(problem, starts, max_iter=max_iter)
     fit, exact = exact_match(problem, fits[0])
     if exact or structure.n_parameters == 0 or criterion == "least_squares":
         return _result(problem, fit, fits, exact)
@@ -140,12 +141,11 @@ def match_structure(
 _RUNAWAY = 1e8  # times the fastest pole: an error within 1e-7 or so of that with a feedthrough
 _CERTIFIED = 0.5  # decrease that a certificate may promise; at minima it is 1e-4 to 0.15
 _FIRST_GAP = 1e-2  # of a bound over the norm, at which they are compared
-_NEAR = 1e-6  # relative residual of a match that may be exact, and needs no other start
 
 
 def exact_match(problem, fit):
     """The match solved to rounding, and whether it is exact, by the residuals."""
-    if fit.residual > _NEAR:
+    if fit.residual > NEAR:
         return fit, False
     theta, residual = solve_similarity(problem, fit.theta)
     inside = problem.inside(theta)
