@@ -188,12 +188,16 @@ def signal_names(data, prefix):
     return tuple(f"{prefix}{i}" for i in range(width))
 
 
-def check_finite(values, names, time, what, missing=RAISE):
-    """Raise ValueError naming the column and the first time of a value that is not finite.
+def check_values(values, names, time, what, missing=RAISE):
+    """Return the values, once they are neither NaN nor infinite, too large nor too small.
 
     NaN is let through where ``missing`` has a rule for it, unless a column holds nothing else. With
-    None, the message names no parameter ``missing``.
+    None, the message names no parameter ``missing``. See ``check_size``, too; a sum of squares of a
+    common size says as much.
     """
+    squares = square_sums(values)
+    if np.all((squares > 1.0 / COMMON) & (squares < COMMON)):
+        return values
     empty = np.isnan(values).all(axis=0) & (len(values) > 0)
     if empty.any() and missing not in (RAISE, None):
         raise ValueError(
@@ -214,17 +218,6 @@ def check_finite(values, names, time, what, missing=RAISE):
             f"{what} contains {kind}: column {names[column]!r}, first at t = {at(time[row])} "
             f"(row {row}); {'drop those rows, or fill them' if missing is None else rule}"
         )
-
-
-def check_values(values, names, time, what, missing=RAISE):
-    """Return the values, once they are neither NaN nor infinite, too large nor too small.
-
-    See ``check_finite`` and ``check_size``; a sum of squares of a common size says as much.
-    """
-    squares = square_sums(values)
-    if np.all((squares > 1.0 / COMMON) & (squares < COMMON)):
-        return values
-    check_finite(values, names, time, what, missing)
     return check_size(values, names, what)
 
 
