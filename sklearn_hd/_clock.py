@@ -2,6 +2,7 @@
 
 import itertools
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -330,19 +331,16 @@ def _seconds(times, step, time_origin):
 def _conversion(times):
     """The code that converts labels to times, for messages."""
     kind, way = pd.api.types.infer_dtype(times), None
+    to_dates = partial(pd.to_datetime, format="ISO8601")
     if kind in ("floating", "integer", "mixed-integer-float", "decimal") or (
         kind == "string" and _reads(pd.to_numeric, times)
     ):
         way = "data.index.astype(float)"
-    elif kind in ("datetime", "date") or (kind == "string" and _reads(_to_dates, times)):
+    elif kind in ("datetime", "date") or (kind == "string" and _reads(to_dates, times)):
         way = "pd.to_datetime(data.index)"
     elif kind == "period":
         way = "data.index.to_timestamp()"
     return "" if way is None else f" (though its labels read as one: data.set_axis({way}))"
-
-
-def _to_dates(times):
-    return pd.to_datetime(times, format="ISO8601")
 
 
 def _reads(convert, times):

@@ -440,7 +440,7 @@ class SampleSimulator:
 
     def outputs(self, x0, *, recompose=True, n_samples=None):
         """Outputs, trim not added, of all samples or the first of them."""
-        return self._checked(self._first(n_samples).simulated(self.drive[:n_samples], x0))
+        return self._checked(self.form.first(n_samples).simulated(self.drive[:n_samples], x0))
 
     def at_rest(self):
         """State of a machine at rest: zero, or, where inputs hold their trim, that in trim.
@@ -460,7 +460,7 @@ class SampleSimulator:
 
     def free(self, n_samples):
         """Outputs of the first samples for each unit initial state, (n, n_samples, n_outputs)."""
-        return self._first(n_samples).free()
+        return self.form.first(n_samples).free()
 
     def read(self, outputs):
         """Outputs at the rows that the model steps through: all."""
@@ -487,9 +487,6 @@ class SampleSimulator:
         return AtSamples(
             form, self.drive[some], model.feedthrough, bool(innovations.gain.any()), *counts
         )
-
-    def _first(self, n_samples):
-        return self.form.first(n_samples)
 
     def _checked(self, Y):
         if not np.max(np.abs(Y), initial=0.0) < OVERFLOW:

@@ -424,7 +424,10 @@ class StructuredMatcher(ModelStep):
     @property
     def theta_least_squares_(self):
         """Parameters of the match in the mean square, as a Series."""
-        return self._by_name("theta_least_squares", lambda match: match.in_mean_square)
+        return self._by_name(
+            "theta_least_squares",
+            lambda m: m.theta if m.theta_least_squares is None else m.theta_least_squares,
+        )
 
     @property
     def theta_std_(self):

@@ -79,7 +79,10 @@ def without_delays(experiment, delays, settings):
         refined = _refined(*found[:2])
         if refined is not None:
             found = _at(experiment, refined, settings)
-    needs_feedthrough = direct is not None and _leaves_far_more(found, direct)
+    needs_feedthrough = False
+    if direct is not None:  # a fraction of a sample explains the same, but for little
+        left, least = (_left(*each[:2]) for each in (found, direct))
+        needs_feedthrough = np.any((left > LITTLE) & (left > DECISIVE * least))
     fit, machine, held = direct if needs_feedthrough else found
     for message, category in held:
         warn(message, category)
@@ -111,15 +114,6 @@ def _at(experiment, delays, settings):
     with held_back() as held:
         fit = _of_record(machine, settings)
     return replace(fit, model=replace(fit.model, delays=delays)), machine, held
-
-
-def _leaves_far_more(found, other):
-    """Whether a simulation of one plain model leaves far more of some output than another's.
-
-    Of what matters: a fraction of a sample and a feedthrough explain the same but for that.
-    """
-    left, least = (_left(*each[:2]) for each in (found, other))
-    return bool(np.any((left > LITTLE) & (left > DECISIVE * least)))
 
 
 def _left(fit, machine):

@@ -227,11 +227,6 @@ class Match:
     waveform: np.ndarray | None = None
 
     @property
-    def in_mean_square(self):
-        """The parameters of the match in the mean square over frequency."""
-        return self.theta if self.theta_least_squares is None else self.theta_least_squares
-
-    @property
     def theta_std(self):
         """Standard deviations of the parameters; NaN without maximum likelihood."""
         if self.uncertainty is None:
