@@ -47,6 +47,7 @@ from sklearn_hd._opinion import (
 )
 from sklearn_hd._records.data import beside_trim, lifted_periods, output_scale, rows_read
 from sklearn_hd.algorithms.linalg.rounding import EXACT, TINY
+from sklearn_hd.algorithms.linalg.triangular import column_rms
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.modes.free_decay import (
     MOST_STATES,
@@ -246,8 +247,7 @@ def _lifted(model, data, experiment, known, forced):
     if known is not None:
         B, states = known
     else:
-        unit = np.sqrt(np.mean(np.vstack(data.outputs) ** 2, axis=0))
-        unit[unit == 0.0] = 1.0
+        unit = column_rms(np.vstack(data.outputs))
         C, seen = model.C / unit[:, None], [Y / unit for Y in data.outputs]
         B, states = driven_states(A, C, W, outputs, seen)
     sights = response_to_states(states, W, outputs)[0]

@@ -26,6 +26,7 @@ from sklearn_hd._readings import highest_harmonic
 from sklearn_hd._records.data import rows_read
 from sklearn_hd._residuals import MOST_PRODUCTS
 from sklearn_hd.algorithms.linalg.rounding import PRECISION
+from sklearn_hd.algorithms.linalg.triangular import column_rms
 from sklearn_hd.algorithms.modes.families import FAINT, agreeing_copies, is_window_pole
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions, input_directions
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
@@ -304,6 +305,5 @@ def _hops(drive, basis, rows):
 
 def unit_size(signals):
     """Signals divided by the root mean square of each channel over all segments."""
-    stacked = np.vstack(signals)
-    size = np.sqrt(np.mean(stacked**2, axis=0))
-    return [u / np.where(size == 0.0, 1.0, size) for u in signals]
+    size = column_rms(np.vstack(signals))
+    return [u / size for u in signals]

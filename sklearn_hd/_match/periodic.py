@@ -22,6 +22,7 @@ from sklearn_hd._records.data import beside_trim, lifted_periods, output_scale, 
 from sklearn_hd._residuals import why_incomplete
 from sklearn_hd._simulators import sample_simulators
 from sklearn_hd.algorithms.likelihood.small_motions import AS_LITTLE
+from sklearn_hd.algorithms.linalg.triangular import column_rms
 from sklearn_hd.algorithms.lti.simulation import GROWN, growth, propagate
 from sklearn_hd.algorithms.modes.free_decay import offsets, periods_at_rest
 from sklearn_hd.algorithms.periodic.behind_samples import FINER
@@ -343,8 +344,7 @@ def _raw_periods(experiment, n_states, scale=1.0):
 def _seen(experiment):
     """What the model was identified from, one row a period, in parts of its size, and that."""
     _, seen = rows_read(experiment)
-    unit = np.sqrt(np.mean(np.vstack(seen) ** 2, axis=0))
-    unit = np.where(unit > 0.0, unit, 1.0)
+    unit = column_rms(np.vstack(seen))
     return [Y / unit for Y in seen], unit
 
 

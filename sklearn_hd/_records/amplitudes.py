@@ -24,6 +24,7 @@ import numpy as np
 
 from sklearn_hd._guards import warn
 from sklearn_hd._records.sampling import regrouped
+from sklearn_hd.algorithms.linalg.triangular import column_rms
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
 SAME_WAVEFORM = 0.1  # share of an input that may be no multiple: noise of 1/20 on both gives 0.07
@@ -185,8 +186,8 @@ def same_waveform(inputs):
     >>> [(rows.tolist(), a.tolist()) for rows, a in same_waveform([u, -2 * u, 0 * u])]
     [([1, 0], [1.0, -0.5]), ([2], [0.0])]
     """
-    scale = np.sqrt(np.mean(np.vstack([u**2 for u in inputs]), axis=0))
-    inputs = [u / np.where(scale > 0.0, scale, 1.0) for u in inputs]
+    scale = column_rms(np.vstack(inputs))
+    inputs = [u / scale for u in inputs]
     left = sorted(range(len(inputs)), key=lambda r: -np.linalg.norm(inputs[r]))
     groups = []
     while left:

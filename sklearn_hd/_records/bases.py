@@ -32,6 +32,7 @@ from sklearn_hd._readings import READINGS
 from sklearn_hd._records.data import given, sample
 from sklearn_hd._records.sampling import MOST_HARMONICS, runs_of
 from sklearn_hd.algorithms.linalg.rounding import PRECISION
+from sklearn_hd.algorithms.linalg.triangular import column_rms
 from sklearn_hd.algorithms.periodic.speed import measured_speed, speeds_apart
 from sklearn_hd.algorithms.signals.fourier import (
     MOST_ROWS,
@@ -316,8 +317,7 @@ def _warn_of_unit(name, azimuth, outputs):
     if not len(y):
         return
     y = y - y.mean(axis=0)
-    size = np.sqrt(np.mean(y**2, axis=0))
-    y = y / np.where(size > 0.0, size, 1.0)
+    y = y / column_rms(y)
 
     def left(radians):
         functions = harmonic_functions(radians * azimuth, ORBIT_ORDERS)

@@ -42,6 +42,7 @@ from sklearn_hd.algorithms.likelihood.innovations_steps import (
     next_step,
 )
 from sklearn_hd.algorithms.linalg.rounding import OVERFLOW
+from sklearn_hd.algorithms.linalg.triangular import column_rms
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, resize_harmonics
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.periodic.periodic_predictor import Layout
@@ -318,7 +319,7 @@ class _Products:
         which = [w for w in _factors(motion, degrees) if w not in left_out]
         products = [(_values(which, centre, z, psi), psi) for z, psi in motion]
         means = fitted_harmonics(products, n_loads)
-        size = _sizes([q - evaluate_harmonics(means, psi) for q, psi in products])
+        size = column_rms(np.vstack([q - evaluate_harmonics(means, psi) for q, psi in products]))
         return cls(tuple(degrees), left_out, which, centre, size, means / size)
 
     def some(self, moving):
@@ -336,7 +337,7 @@ class _Products:
     def moving(self, motion):
         """Which products move about their means."""
         whole = [_values(self.which, self.centre, z, psi) for z, psi in motion]
-        return self.size**2 > LEAST_OF_ITS_OWN * _sizes(whole) ** 2
+        return self.size**2 > LEAST_OF_ITS_OWN * column_rms(np.vstack(whole)) ** 2
 
     def beside(self, segments, motion):
         """Segments whose inputs have the products of a motion beside them."""
@@ -482,16 +483,10 @@ def _left(innovations, sensor_noise):
 def _smaller_half(motion, centre):
     """Rows of each segment in which the motion about some centre is below its median."""
     about = [z - evaluate_harmonics(centre, psi) for z, psi in motion]
-    size = _sizes(about)
+    size = column_rms(np.vstack(about))
     square = [np.sum((z / size) ** 2, axis=1) for z in about]
     median = np.median(np.concatenate(square))
     return [each <= median for each in square]
-
-
-def _sizes(signals):
-    """Root mean squares of signals over all segments; one where there is no motion."""
-    size = np.sqrt(np.mean(np.vstack(signals) ** 2, axis=0))
-    return np.where(size > 0.0, size, 1.0)
 
 
 def _with_inputs(innovations, kept, more):

@@ -104,6 +104,12 @@ def column_sizes(matrix):
     return np.where(sizes > 0, sizes, 1.0)
 
 
+def column_rms(matrix):
+    """Root mean square of each column, 1 for a column of zeros."""
+    sizes = np.sqrt(np.mean(matrix**2, axis=0))
+    return np.where(sizes > 0.0, sizes, 1.0)
+
+
 def svd_within_rank(matrix, rank=DEPENDENT, largest=None):
     """Singular vectors and values U, s, Vᵀ of a matrix, but for those that are rounding.
 
