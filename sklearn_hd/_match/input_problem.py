@@ -27,6 +27,7 @@ from sklearn_hd._match import PeriodicModel
 from sklearn_hd._records.data import lifted_periods
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EXACT, UNKNOWN
 from sklearn_hd.algorithms.linalg.triangular import column_sizes
+from sklearn_hd.algorithms.periodic.behind_samples import at_every_phase
 from sklearn_hd.algorithms.periodic.combined_periods import (
     CombinedPeriods,
     NestedLeastSquares,
@@ -196,9 +197,7 @@ class InputProblem:
                 f"F, sample more often, or change the order of the model"
             )
         each = response.Psi, response.Out, response.dPsi, response.dOut
-        return SampledResponse(
-            *(np.broadcast_to(M, (*M.shape[:-3], spp, *M.shape[-2:])) for M in each)
-        )
+        return SampledResponse(*(at_every_phase(M, spp) for M in each))
 
     def _segments(self, response):
         """Whole segments, each from a state that is unknown."""

@@ -317,7 +317,7 @@ def nearest_steps(structure, coefficients, omega, n_phases, weights):
         found = sampled_response(structure, theta, omega, n_phases, sensitivities=sensitivities)
         both = (found.dPsi, found.dOut) if sensitivities else (found.Psi, found.Out)
         both = (
-            left @ _everywhere(M, n_phases) @ right for left, M in zip(lefts, both, strict=True)
+            left @ at_every_phase(M, n_phases) @ right for left, M in zip(lefts, both, strict=True)
         )
         return np.concatenate([M.reshape(*M.shape[:-3], -1) for M in both], axis=-1)
 
@@ -334,7 +334,7 @@ def nearest_steps(structure, coefficients, omega, n_phases, weights):
     return optimize.least_squares(left, start, slope, x_scale="jac").x
 
 
-def _everywhere(M, n_phases):
+def at_every_phase(M, n_phases):
     """Matrices of every phase, where they are constant, too."""
     return np.broadcast_to(M, (*M.shape[:-3], n_phases, *M.shape[-2:]))
 
