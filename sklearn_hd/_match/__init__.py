@@ -13,7 +13,7 @@ from sklearn_hd._readings import coefficient_names, highest_harmonic
 from sklearn_hd._records.likelihood import SearchSettings
 from sklearn_hd.algorithms.likelihood.uncertainty import propagate_std
 from sklearn_hd.algorithms.lti.simulation import step_response
-from sklearn_hd.algorithms.lti.structured_model import AffineStructure
+from sklearn_hd.algorithms.lti.structured_model import AffineStructure, parts_of
 from sklearn_hd.algorithms.matching.matching import MatchResult
 from sklearn_hd.algorithms.periodic.behind_samples import samples_of
 from sklearn_hd.algorithms.periodic.harmonic_balance import trimmed_harmonics
@@ -64,7 +64,7 @@ class PeriodicModel:
 
     def matrices(self):
         """Fourier coefficients of F, G, P and Q."""
-        return _parts(self.coefficients, self.n_states)
+        return parts_of(self.coefficients, self.n_states)
 
     @property
     def input_size(self):
@@ -102,7 +102,7 @@ class PeriodicModel:
         N, states = self._states_kept(basis)
         labels = harmonic_names(self.state_names, N)
         stacked = _decompose(self.coefficients, self.omega, basis, N, states)
-        return _parts(stacked, len(states)), tuple(labels[i] for i in states)
+        return parts_of(stacked, len(states)), tuple(labels[i] for i in states)
 
     def decomposed_structure(self, structure, basis):
         """The same as an AffineStructure of the parameters of a structure, whose model this is.
@@ -130,16 +130,11 @@ class PeriodicModel:
         return N, list(range((2 * N + 1) * self.n_states))
 
 
-def _parts(M, n):
-    """F, G, P and Q of [F G; P Q] with n states, or A, B, C and D."""
-    return M[..., :n, :n], M[..., :n, n:], M[..., n:, :n], M[..., n:, n:]
-
-
 def _decompose(coefficients, omega, basis, n_harmonics, states):
     """[A B; C D] of the harmonic decomposition between some states and what a basis keeps."""
     n = coefficients.shape[1] - len(basis.outputs)
     M, L = highest_harmonic(basis.inputs), highest_harmonic(basis.outputs)
-    A, B, C, D = harmonic_decomposition(*_parts(coefficients, n), omega, n_harmonics, M, L)
+    A, B, C, D = harmonic_decomposition(*parts_of(coefficients, n), omega, n_harmonics, M, L)
     rows, columns = kept_places(basis.outputs), kept_places(basis.inputs)
     left = [A[np.ix_(states, states)], C[np.ix_(rows, states)]]
     right = [B[np.ix_(states, columns)], D[np.ix_(rows, columns)]]

@@ -84,12 +84,8 @@ class AffineStructure(Sizes):
 
     def matrices(self, theta):
         """(A, B, C, D) at the parameters θ, shape (k,)."""
-        return self.split(self.constant + np.tensordot(np.asarray(theta, float), self.basis, 1))
-
-    def split(self, stacked):
-        """(A, B, C, D) of the block matrix [A B; C D]."""
-        n = self.n_states
-        return stacked[:n, :n], stacked[:n, n:], stacked[n:, :n], stacked[n:, n:]
+        stacked = self.constant + np.tensordot(np.asarray(theta, float), self.basis, 1)
+        return parts_of(stacked, self.n_states)
 
     def project(self, stacked, weights=None):
         """Parameters of the structured matrix nearest to a given one, and the rest.
@@ -185,6 +181,11 @@ class AffineStructure(Sizes):
             half += np.sum((before[here].swapaxes(1, 2) @ after[here]) * K[places], axis=0).real
         half = rates[first].T @ half @ rates[second]
         return half + half.T
+
+
+def parts_of(M, n):
+    """A, B, C and D of [A B; C D] with n states, or F, G, P and Q."""
+    return M[..., :n, :n], M[..., :n, n:], M[..., n:, :n], M[..., n:, n:]
 
 
 def points(s):

@@ -24,7 +24,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from sklearn_hd.algorithms.linalg.rounding import EXACT
-from sklearn_hd.algorithms.lti.structured_model import Sizes
+from sklearn_hd.algorithms.lti.structured_model import Sizes, parts_of
 from sklearn_hd.algorithms.periodic.floquet import (
     collocation,
     gauss_tableau,
@@ -138,8 +138,7 @@ class PeriodicStructure(Sizes):
 
     def matrices(self, theta):
         """Fourier coefficients of F, G, P and Q."""
-        M, n = self.coefficients(theta), self.n_states
-        return M[:, :n, :n], M[:, :n, n:], M[:, n:, :n], M[:, n:, n:]
+        return parts_of(self.coefficients(theta), self.n_states)
 
     @cached_property
     def varies(self):
