@@ -20,8 +20,7 @@ from sklearn_hd._checks import DECISIVE, LITTLE, STANDARD_ERRORS
 from sklearn_hd._fit_checks import check_motion, warn_of_thinning
 from sklearn_hd._frame import SampleModel
 from sklearn_hd._guards import held_back, searching, warn
-from sklearn_hd._identify.predictor_layout import rows_told
-from sklearn_hd._identify.sample_models import Choice
+from sklearn_hd._identify.sample_models import Choice, rows_told
 from sklearn_hd._identify.stages import (
     MOST_PREDICTOR_ROWS,
     Settings,

@@ -8,12 +8,12 @@ from scipy.linalg import expm
 from scipy.stats import ortho_group, special_ortho_group
 
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
-from sklearn_hd.algorithms.periodic.moving_coordinates import (
+from sklearn_hd.algorithms.periodic.periodic_innovations import (
+    PeriodicInnovations,
     _logarithm,
     coordinates_without_modes,
     without_modes,
 )
-from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
 
 STEP = 2 * np.pi / 16
