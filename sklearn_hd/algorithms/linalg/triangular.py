@@ -67,8 +67,8 @@ def _inverse_square(L, size):
         return np.inf if fault else float(np.linalg.norm(inverse)) ** 2
 
 
-def all_above(R, share):
-    """Whether all singular values surely are above a share of the largest.
+def all_above_rounding(R):
+    """Whether all singular values surely are more than rounding of the largest.
 
     By ‖R‖ ‖R⁻¹‖ in Frobenius norms, which takes a tenth of the time of the singular values.
 
@@ -76,8 +76,6 @@ def all_above(R, share):
     ----------
     R : ndarray, shape (r, r)
         Upper triangular.
-    share : float
-        Well above the rounding of R.
 
     Returns
     -------
@@ -86,7 +84,7 @@ def all_above(R, share):
 
     Examples
     --------
-    >>> all_above(np.diag([1.0, 1e-3]), 1e-4), all_above(np.diag([1.0, 1e-5]), 1e-4)
+    >>> all_above_rounding(np.diag([1.0, 1e-3])), all_above_rounding(np.diag([1.0, 1e-13]))
     (True, False)
     """
     if len(R) == 0:
@@ -95,7 +93,7 @@ def all_above(R, share):
     if fault:
         return False
     with np.errstate(over="ignore", invalid="ignore"):
-        return bool(share * np.linalg.norm(R) * np.linalg.norm(inverse) < 0.5)
+        return bool(DEPENDENT * np.linalg.norm(R) * np.linalg.norm(inverse) < 0.5)
 
 
 def column_sizes(matrix):

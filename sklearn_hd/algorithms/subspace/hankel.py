@@ -24,7 +24,7 @@ import numpy as np
 
 from sklearn_hd.algorithms.linalg.double_double import cholesky
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT
-from sklearn_hd.algorithms.linalg.triangular import all_above, safe_cholesky, triangle
+from sklearn_hd.algorithms.linalg.triangular import all_above_rounding, safe_cholesky, triangle
 from sklearn_hd.algorithms.subspace.lag_products import lag_products
 
 FEW_COLUMNS = 32  # times rows: fewer are faster by orthogonal transformations than exactly
@@ -114,7 +114,7 @@ def n_excited(R, block_rows, n_inputs):
     block_rows, n_inputs : int
     """
     size = 2 * block_rows * n_inputs
-    if all_above(R[:size, :size], DEPENDENT):
+    if all_above_rounding(R[:size, :size]):
         return size
     values = np.linalg.svd(R[:size, :size], compute_uv=False)
     return int(np.sum(values > DEPENDENT * np.max(values, initial=0.0)))

@@ -36,7 +36,7 @@ from scipy import linalg
 
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS
 from sklearn_hd.algorithms.linalg.triangular import (
-    all_above,
+    all_above_rounding,
     solve_within_rank,
     svd_within_rank,
     triangle,
@@ -65,7 +65,7 @@ def release_idle_directions(R, n_future_inputs):
     upper block triangular, and RᵀR as before, except for what is below rounding in U_f.
     """
     n = n_future_inputs
-    if all_above(R[:n, :n], DEPENDENT):
+    if all_above_rounding(R[:n, :n]):
         return R
     rotation, sizes, _ = linalg.svd(R[:n, :n])
     idle = sizes <= DEPENDENT * sizes[0]

@@ -12,6 +12,7 @@ from sklearn_hd import HarmonicAnalyzer
 from sklearn_hd._identify.sliding import modulated_inputs
 from sklearn_hd._records.data import read_experiment, rows_read
 from sklearn_hd.algorithms.linalg import triangular
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.subspace import hankel
 from sklearn_hd.algorithms.subspace.hankel import factor_of_products, hankel_factor
@@ -212,16 +213,16 @@ def test_the_size_of_an_inverse_is_that_of_the_inverse(rng, size):
         assert triangular._inverse_square(L, np.ones(size)) == np.inf
 
 
-@pytest.mark.parametrize("smallest", [0.0, 1e-300, 1e-6, 1e-2, 1.0])
-def test_all_singular_values_are_above_a_share_only_where_they_are(rng, smallest):
+@pytest.mark.parametrize("smallest", [0.0, 1e-300, 0.9 * DEPENDENT, 3.0 * DEPENDENT, 1e-6, 1.0])
+def test_all_singular_values_are_above_rounding_only_where_they_are(rng, smallest):
     left, right = np.linalg.qr(rng.standard_normal((2, 6, 6)))[0]
     R = linalg.qr((left * [1.0, 0.9, 0.5, 0.3, 0.2, smallest]) @ right, mode="r")[0]
     values = linalg.svdvals(R)
-    for share in (1e-10, 1e-4, 0.1):
-        if triangular.all_above(R, share):
-            assert values[-1] > share * values[0]
-    assert triangular.all_above(R, 1e-10) == (smallest >= 1e-6)
-    assert triangular.all_above(R[:0, :0], 1e-10)
+    above = triangular.all_above_rounding(R)
+    if above:
+        assert values[-1] > DEPENDENT * values[0]
+    assert above or smallest < 1e-6
+    assert triangular.all_above_rounding(R[:0, :0])
 
 
 def test_cholesky_is_refused_where_digits_are_lost(rng):
