@@ -361,7 +361,7 @@ def _check_half_life(experiment, settings, forgetting):
     if forgetting.half_life == np.inf:
         return
     basis, most = experiment.basis, forgetting.most_rows
-    p = len(experiment.basis.drive_labels) + len(basis.output_labels)
+    p = len(basis.drive_labels) + len(basis.output_labels)
     i = _block_rows(basis, settings, [round(most)], p)
     need = i * p + 1 + 2 * i
     if most < need:
