@@ -355,6 +355,13 @@ def check_motion(facts):
             f"explains them; subtract their rest values (trim_span), or drop them",
             IdentifiabilityWarning,
         )
+    zero = [n for n, m, o in zip(facts.output_names, moves, off, strict=True) if not (m or o)]
+    if zero and facts.basis.reading == "period":
+        warn(
+            f"the outputs {zero} never move in the {facts.span} (after the trim is subtracted), "
+            f"so the model has them at rest; check their sensors, or drop them",
+            IdentifiabilityWarning,
+        )
     if facts.together:
         warn(
             f"the inputs {list(facts.together)} never move separately in the {facts.span} (they "

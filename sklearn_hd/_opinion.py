@@ -12,7 +12,7 @@ from scipy.optimize import linear_sum_assignment
 from sklearn_hd._checks import STANDARD_ERRORS
 from sklearn_hd._fit_checks import longest_span
 from sklearn_hd._guards import searching, warn
-from sklearn_hd._records.data import lifted_periods, output_scale
+from sklearn_hd._records.data import lifted_periods, moving_periods
 from sklearn_hd.algorithms.modes.free_decay import SURE, logarithms, periods_at_rest
 from sklearn_hd.algorithms.periodic.multipliers import LASTING, LEAST_RATE
 from sklearn_hd.exceptions import IdentifiabilityWarning
@@ -137,7 +137,7 @@ def decays_at_rest(experiment):
     stretches : list of (segment, slice)
     """
     stretches = periods_at_rest(lifted_periods(experiment, experiment.inputs))
-    lifted = lifted_periods(experiment, experiment.outputs, output_scale(experiment))
+    lifted = moving_periods(experiment)
     return [lifted[s][rows] for s, rows in stretches], stretches
 
 
@@ -214,9 +214,9 @@ def _conjugates(exponents, omega):
 def doubtful(exponents, opinion):
     """Which exponents an opinion does not confirm.
 
-    - It has to know them, and to agree: to DOUBT, distance and error apart where it is their own,
-      together else. Of another way that is not needed, modes within its error pass, too; those
-      within the record do if it does not know.
+    - It has to know them, and to agree: to DOUBT, distance and error apart where it is their own
+      and not needed, together else. Of another way that is not needed, modes within its error
+      pass, too; those within the record do if it does not know.
     - Of another way, it contradicts from DOUBT / 2 on if chance does not explain that. If it is
       complete, those that are more than it has are in doubt.
     - What does not change within the record is in doubt whatever else is known of it.

@@ -184,3 +184,19 @@ def test_a_wildly_growing_record_is_exact_or_said():
         pipe.fit(u, y)
     found = pipe["match"].ltp_.floquet_exponents()
     np.testing.assert_allclose(found, system.floquet_exponents(), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("value", "tolerance"),
+    [(0.0, 1e-9), (3.1, 5e-3)],  # constants of all outputs are fitted then
+)
+def test_outputs_that_never_move_are_told_and_change_nothing(value, tolerance):
+    """Their zeros do not count as rows that a model explains: twelve states would do for these."""
+    u, y = record(mathieu(), n_periods=40, noise=0.02)
+    pipe = synchronous(2.0)[:2]
+    alone = pipe.fit(u, y)["identify"].eigenvalues_
+    resting = {"a": value, "b": value, "c": value}
+    with pytest.warns(IdentifiabilityWarning, match=r"the outputs \['a', 'b', 'c'\] never move"):
+        pipe.fit(u, y.assign(**resting))
+    np.testing.assert_allclose(pipe["identify"].eigenvalues_, alone, rtol=tolerance)
+    assert np.max(np.abs(pipe.predict(u)[list(resting)] - value)) < 1e-9

@@ -45,7 +45,13 @@ from sklearn_hd._opinion import (
     of_multipliers,
     warn_unconfirmed,
 )
-from sklearn_hd._records.data import beside_trim, lifted_periods, output_scale, rows_read
+from sklearn_hd._records.data import (
+    beside_trim,
+    lifted_periods,
+    moving_periods,
+    output_scale,
+    rows_read,
+)
 from sklearn_hd.algorithms.linalg.rounding import EXACT, TINY
 from sklearn_hd.algorithms.linalg.triangular import column_rms
 from sklearn_hd.algorithms.lti.simulation import propagate
@@ -236,13 +242,15 @@ def _lifted(model, data, experiment, known, forced):
     B and the states are known of a predictor. Of a map that outgrows numbers within the record
     nothing more is.
     """
-    A, W, outputs = model.A, data.excitation, _raw_periods(experiment)
+    A, W, scale = model.A, data.excitation, output_scale(experiment)
+    lifted = lifted_periods(experiment, experiment.outputs, scale)
+    outputs = [y.reshape(len(y), -1) for y in lifted]
     longest = max(map(len, outputs))
     if outgrows_numbers(A, longest):
         return model
     basis, constant = experiment.basis, experiment.basis.output_trim is not None
     if forced is not None:  # which holds what the constant direction would
-        outputs = [y - (forced / output_scale(experiment)).ravel() for y in outputs]
+        outputs = [y - (forced / scale).ravel() for y in outputs]
         W, constant = [w[:, :-1] for w in W], False
     if known is not None:
         B, states = known
@@ -260,7 +268,7 @@ def _lifted(model, data, experiment, known, forced):
     size = np.sqrt(np.mean(u**2, axis=(0, 1)))
     size = np.tile(np.where(size > 0.0, size, 1.0), u.shape[1])
     directions = linalg.lstsq(u.reshape(len(u), -1) / size, W[:, :-1])[0] / size[:, None]
-    scale = np.tile(output_scale(experiment), basis.samples_per_period)[:, None]
+    scale = np.tile(scale, basis.samples_per_period)[:, None]
     return replace(model, lifted=Lifted(B, scale * sights, scale * D, directions, float(left)))
 
 
@@ -306,9 +314,8 @@ def _order(found, bound, experiment, data, settings):
 
 
 def _raw_periods(experiment):
-    """Every sample of the outputs, one row a period, in like units."""
-    lifted = lifted_periods(experiment, experiment.outputs, output_scale(experiment))
-    return [y.reshape(len(y), -1) for y in lifted]
+    """Every sample of the outputs that move, one row a period, in like units."""
+    return [y.reshape(len(y), -1) for y in moving_periods(experiment)]
 
 
 def _own_map(A, C, noise, experiment, data, unit, settings):

@@ -154,7 +154,7 @@ def decompose(data, block_rows, size, settings, choose=None):
     unit, y_size = 1.0, size[m:]
     if settings.weighting != "cva":
         unit = y_size.max() * np.sqrt(np.mean((y_size / y_size.max()) ** 2))
-    order, bound = settings.order, (block_rows - 1) * data.n_outputs
+    order, bound = settings.order, (block_rows - 1) * data.facts.n_moving_outputs
     if order == "auto":
         order = (choose or by_gap)(found, bound)
     values, floor = found.singular_values * unit, found.floor * unit
@@ -271,7 +271,7 @@ def allowed_block_rows(settings, data, asked, *, least=2, words=None):
     words : (str, str, str), optional
         What a row and a channel are called, and the way out.
     """
-    i, n_inputs, n_outputs = asked, data.n_inputs, data.n_outputs
+    i, n_inputs, n_outputs = asked, data.n_inputs, data.facts.n_moving_outputs
     if settings.block_rows is None:
         i = fewer_block_rows(asked, least, data.lengths, n_inputs + n_outputs)
     check_rank_bound(settings.order, i, n_outputs)

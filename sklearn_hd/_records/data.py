@@ -416,6 +416,16 @@ def lifted_periods(experiment, signals, scale=1.0):
     ]
 
 
+def moving_periods(experiment):
+    """Whole periods of the outputs, in like units, without those that rest throughout.
+
+    Their zeros would count as rows that a model explains.
+    """
+    lifted = lifted_periods(experiment, experiment.outputs, output_scale(experiment))
+    moves = np.any([np.any(y != 0.0, axis=(0, 1)) for y in lifted], axis=0)
+    return [y[..., moves] for y in lifted]
+
+
 def to_continuous(model, experiment):
     """The whole of a discrete model in continuous time, under a zero-order hold.
 
