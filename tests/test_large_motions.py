@@ -164,6 +164,7 @@ def test_products_that_are_not_taken_up_still_have_a_word():
     assert error(model) > 0.1
     opinion = model.model_.opinion
     assert np.min(np.abs(opinion.exponents - exponent())) < 0.15 * abs(exponent().real)
+    assert opinion.needed
 
 
 def test_products_do_not_stand_for_gusts_that_exact_outputs_show():

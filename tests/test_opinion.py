@@ -148,6 +148,9 @@ def test_distance_and_error_count_together():
     near = 1.045 * PAIR.real + 1j * PAIR.imag
     assert not doubtful(near, needed(PAIR, 0.002)).any()
     assert doubtful(near, needed(PAIR, 0.006)).all()
+    own = opinion(PAIR, 0.006, own=True)  # of a further step: it is taken when it is needed
+    assert not doubtful(near, own).any()
+    assert doubtful(near, replace(own, needed=True)).all()
 
 
 @pytest.mark.parametrize(("deviation", "told"), [(0.002, True), (0.02, False)])

@@ -516,7 +516,8 @@ def _of_its_likelihood(refined, data, omega):
     Where steps have not come to an end, and where products have not taken up all by which a
     machine is not linear, that is elsewhere. Beside products its deviations are the model's own.
     Products of degrees that did not pay, or are too many, have a word where chance does not
-    explain them.
+    explain them: distance and error count together then, since of what saturates they may take up
+    but a part.
     """
     small = refined.small
     if small is not None:
@@ -531,7 +532,7 @@ def _of_its_likelihood(refined, data, omega):
     if beside is not None and beside.beyond > STANDARD_ERRORS:
         which = " and ".join(POWERS[degree] for degree in degrees)
         way = f"its likelihood beside {which} of the motion has"
-        yield _ahead(beside.ahead, data, omega, way, own=True, of_small_motions=True)
+        yield _ahead(beside.ahead, data, omega, way, own=True, of_small_motions=True, needed=True)
 
 
 def _ahead(ahead, data, omega, way="", **more):
