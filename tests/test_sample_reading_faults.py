@@ -325,7 +325,8 @@ def test_a_linear_model_in_doubt_does_not_stand_for_small_motions(own, degrees, 
 
     def found(n_harmonics, bic, degrees):
         it = _Found(None, SimpleNamespace(order=2, n_harmonics=n_harmonics), None)
-        refined = SimpleNamespace(degrees=degrees, simulates=False, no_noise="")
+        large = SimpleNamespace(covariance=1e-9 * np.eye(2))
+        refined = SimpleNamespace(degrees=degrees, simulates=False, no_noise="", large=large)
         left = SimpleNamespace(variance=1e-3, bic=bic, stable=True)
         model = SimpleNamespace(exponents=lambda: exponents, omega=3.0, opinion=None)
         it.__dict__.update(refined=refined, left=left, model=model, against=["in doubt"])
@@ -337,6 +338,19 @@ def test_a_linear_model_in_doubt_does_not_stand_for_small_motions(own, degrees, 
         patch.setattr(_Found, "of", lambda choice, one: one)
         patch.setattr(_Found, "bic_of_predictions", 0.0)
         assert (_or_simpler(whole, choice) is other) == taken
+
+
+@pytest.mark.parametrize(
+    ("order", "more", "lacks"), [(2, 3.0, False), (2, 5.0, True), (1, 5.0, False)]
+)
+def test_fewer_harmonics_may_leave_four_times_as_much_below_the_noise_of_a_sensor(
+    order, more, lacks
+):
+    def found(order, left):
+        large = SimpleNamespace(covariance=left * np.eye(2))
+        return _Found(None, SimpleNamespace(order=order), SimpleNamespace(large=large))
+
+    assert found(order, 1e-9 * more).lacks_harmonics_of(found(2, 1e-9)) == lacks
 
 
 def test_simpler_models_have_fewer_states_or_fewer_harmonics():

@@ -321,8 +321,9 @@ class _Found:
         """
         if self.chosen.order != other.chosen.order:
             return False
-        own, less = (np.linalg.slogdet(one.refined.large.covariance)[1] for one in (self, other))
-        return own - less > self.choice.data.n_outputs * np.log(DECISIVE)
+        own, less = (one.refined.large.covariance for one in (self, other))
+        more = np.linalg.slogdet(own)[1] - np.linalg.slogdet(less)[1]
+        return more > len(own) * np.log(DECISIVE)
 
     def serves_for(self, other):
         """Whether nothing speaks against it, and it leaves as little or has modes of the other.

@@ -27,7 +27,7 @@ from sklearn_hd._identify.products_cache import KeptSums
 from sklearn_hd.algorithms.linalg.rounding import EXACT, OVERFLOW
 from sklearn_hd.algorithms.lti.simulation import GROWN
 from sklearn_hd.algorithms.periodic.periodic_predictor import SENSOR_NOISE
-from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN
+from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN, harmonic_labels
 from sklearn_hd.algorithms.subspace.hankel import n_excited, n_hankel_columns
 from sklearn_hd.algorithms.subspace.order import Simulated, order_by_gap
 from sklearn_hd.algorithms.subspace.projections import (
@@ -154,11 +154,23 @@ def decompose(data, block_rows, size, settings, choose=None):
     unit, y_size = 1.0, size[m:]
     if settings.weighting != "cva":
         unit = y_size.max() * np.sqrt(np.mean((y_size / y_size.max()) ** 2))
-    order, bound = settings.order, (block_rows - 1) * data.facts.n_moving_outputs
+    order, bound = settings.order, (block_rows - 1) * _n_counted_outputs(data)
     if order == "auto":
         order = (choose or by_gap)(found, bound)
     values, floor = found.singular_values * unit, found.floor * unit
     return Decomposition(found, block_rows, int(order), values, floor)
+
+
+def _n_counted_outputs(data):
+    """How many outputs count: where periods are read, coefficients of measured ones that move.
+
+    At least one, for checks of lengths that come before those of motion.
+    """
+    basis, moves = data.facts.basis, data.facts.outputs_move
+    if basis.reading != "period":
+        return data.n_outputs
+    counts = [len(harmonic_labels(orders)) for _, orders in basis.outputs]
+    return max(1, int(np.sum(counts, where=moves)))
 
 
 def by_gap(found, bound):
@@ -271,7 +283,7 @@ def allowed_block_rows(settings, data, asked, *, least=2, words=None):
     words : (str, str, str), optional
         What a row and a channel are called, and the way out.
     """
-    i, n_inputs, n_outputs = asked, data.n_inputs, data.facts.n_moving_outputs
+    i, n_inputs, n_outputs = asked, data.n_inputs, _n_counted_outputs(data)
     if settings.block_rows is None:
         i = fewer_block_rows(asked, least, data.lengths, n_inputs + n_outputs)
     check_rank_bound(settings.order, i, n_outputs)

@@ -14,7 +14,7 @@ from sklearn_hd._checks import COMMON
 from sklearn_hd._clock import why_short
 from sklearn_hd._guards import extremes, square_sums
 from sklearn_hd.algorithms.linalg.rounding import EXACT
-from sklearn_hd.algorithms.signals.fourier import InputDirections, harmonic_labels
+from sklearn_hd.algorithms.signals.fourier import InputDirections
 from sklearn_hd.algorithms.subspace.hankel import (
     block_order,
     factor_of_products,
@@ -84,17 +84,6 @@ class Facts:
             why_short(experiment.base),
             _together(experiment),
         )
-
-    @property
-    def n_moving_outputs(self):
-        """How many outputs of the rows read move: all coefficients of measured ones that do.
-
-        At least one, for checks of lengths that come before those of motion.
-        """
-        counts = 1
-        if self.basis.reading == "period":
-            counts = [len(harmonic_labels(orders)) for _, orders in self.basis.outputs]
-        return max(1, int(np.sum(self.outputs_move * counts)))
 
     def without(self, names):
         """The same, some measured inputs counted as at rest."""
