@@ -1,13 +1,12 @@
 """Base of the three model steps: the model behind them, simulation, score."""
 
 from dataclasses import replace
-from functools import update_wrapper
-from types import MethodType
 
 import numpy as np
 import pandas as pd
 from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.metrics import r2_score
+from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._checks import (
@@ -56,28 +55,15 @@ from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.systems.export import write
 
 
-class _WithGain:
-    """A method of steps whose Kalman gain was, or will be, identified.
-
-    For others it is no attribute, as with scikit-learn's ``available_if``; but what the
-    AttributeError says is the way to a gain.
-    """
-
-    def __init__(self, method):
-        self.method = method
-        update_wrapper(self, method)
-
-    def __get__(self, step, owner=None):
-        if step is None:
-            return self.method
-        if not step._predicts_ahead():
-            raise AttributeError(
-                f"this {type(step).__name__} has no predict_ahead, because it has no Kalman gain; "
-                f"fit StructuredMatcher with criterion='prediction_error', or MOESPRegressor with "
-                f"disturbance_model=True, weighting='pbsid' or behind "
-                f"HarmonicAnalyzer(reading='sample')"
-            )
-        return MethodType(self.method, step)
+def _has_gain(step):
+    """Whether a Kalman gain was, or will be, identified; AttributeError names the way to one."""
+    if not step._predicts_ahead():
+        raise AttributeError(
+            "predict_ahead needs a Kalman gain: of MOESPRegressor with disturbance_model=True, "
+            "weighting='pbsid' or behind HarmonicAnalyzer(reading='sample'), or of "
+            "StructuredMatcher with criterion='prediction_error'"
+        )
+    return True
 
 
 class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
@@ -518,7 +504,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
             values = values.astype(types[0])
         return values[:, 0] if self.target_kind_ == "vector" else values
 
-    @_WithGain
+    @available_if(_has_gain)
     @one_blas_thread
     @within_range
     def predict_ahead(self, X, y, horizon=1, x0=None):

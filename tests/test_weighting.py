@@ -306,19 +306,6 @@ def test_predictions_come_in_the_container_of_y_and_segment_by_segment(rng):
     np.testing.assert_allclose(given.iloc[-50:], found.iloc[-50:], atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    "step", [MOESPRegressor(2), SpuriousModeReducer(), StructuredMatcher(criterion="output_error")]
-)
-def test_a_step_without_a_gain_says_how_to_predict_ahead(step):
-    assert not hasattr(step, "predict_ahead")
-    way = (
-        f"this {type(step).__name__} has no predict_ahead.*criterion='prediction_error'.*"
-        f"disturbance_model=True, weighting='pbsid'"
-    )
-    with pytest.raises(AttributeError, match=way):
-        step.predict_ahead(None, None)
-
-
 @pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.IdentifiabilityWarning")
 def test_a_horizon_of_a_reduced_model_is_refused(rng):
     u, y, _ = disturbed(rng, 2, 1, 1).simulate(rng, 400)
