@@ -401,27 +401,36 @@ def test_a_simpler_model_has_modes_of_the_other_or_leaves_as_little(
 
 
 @pytest.mark.parametrize(
-    ("exponents", "deviation", "against", "stands"),
+    ("exponents", "deviation", "against", "left", "stands"),
     [
-        ((-0.2,), 0.002, "", False),  # a mode that it lacks has moved its own
-        ((-0.231,), 0.002, "", True),
-        ((-0.2,), 0.02, "", True),  # within chance
-        ((-0.2,), 0.002, "halves differ", True),  # the other is in doubt itself
-        ((-0.2, -1.5), 0.002, "", True),  # as many, fewer harmonics: the criterion has the word
+        ((-0.2,), 0.002, "", 1.1, False),  # a mode that it lacks has moved its own
+        ((-0.2,), 0.002, "", 0.9, True),  # the other leaves more, with a mode more
+        ((-0.231,), 0.002, "", 1.1, True),
+        ((-0.2,), 0.02, "", 1.1, True),  # within chance
+        ((-0.2,), 0.002, "halves differ", 1.1, True),  # the other is in doubt itself
+        (
+            (-0.2, -1.5),
+            0.002,
+            "",
+            1.1,
+            True,
+        ),  # as many, fewer harmonics: the criterion has the word
     ],
 )
 def test_fewer_states_do_not_stand_beside_a_sure_model_of_others(
-    exponents, deviation, against, stands
+    exponents, deviation, against, left, stands
 ):
-    def found(against, *exponents):
+    def found(against, left, *exponents):
         exponents = np.array(exponents, complex)
         spread = np.full(len(exponents), deviation)
         opinion = Opinion(exponents, spread, 0.8, "the two halves of the record have", own=True)
-        it = _Found(None, SimpleNamespace(order=len(exponents)), None)
+        large = SimpleNamespace(covariance=left * np.eye(2))
+        chosen = SimpleNamespace(order=len(exponents))
+        it = _Found(None, chosen, SimpleNamespace(large=large))
         model = SimpleNamespace(exponents=lambda: exponents, omega=0.8, opinion=opinion)
         it.__dict__.update(model=model, against=against)
         return it
 
-    whole = found(against, -0.23, -2.0)  # of the second a turn leaves nothing
-    assert found("", *exponents).stands_beside(whole) == stands
+    whole = found(against, 1.0, -0.23, -2.0)  # of the second a turn leaves nothing
+    assert found("", left, *exponents).stands_beside(whole) == stands
     assert whole.stands_beside(whole)

@@ -307,23 +307,30 @@ class _Found:
         return self.choice.leaves_noise(self.left)
 
     def stands_beside(self, other):
-        """Whether it has as many states as the other, or the other's exponents are in doubt, or
-        confirm its own."""
-        if self.chosen.order == other.chosen.order or other.against or other.model.opinion is None:
+        """Whether it may stand for the other where its criterion of predictions is lower.
+
+        It has as many states, or leaves no more beside products, or the other's exponents are in
+        doubt, or they confirm its own.
+        """
+        alike = self.chosen.order == other.chosen.order
+        if alike or other.against or other.model.opinion is None or self.more_than(other) <= 0.0:
             return True
         known = other.model.opinion.of_whole(other.model.exponents())
         return not why_unconfirmed(self.model.exponents(), known)
 
-    def lacks_harmonics_of(self, other):
-        """Whether as many states leave far more beside products, be both below a sensor's noise.
+    def more_than(self, other):
+        """Logarithm of the variance left beside products over what the other leaves, its mean.
 
-        There the criterion of predictions sees no difference.
+        However little both are: the criterion of predictions sees no difference below the noise of
+        a sensor.
         """
-        if self.chosen.order != other.chosen.order:
-            return False
         own, less = (one.refined.large.covariance for one in (self, other))
         more = np.linalg.slogdet(own)[1] - np.linalg.slogdet(less)[1]
-        return more > len(own) * np.log(DECISIVE)
+        return more / len(own)
+
+    def lacks_harmonics_of(self, other):
+        """Whether as many states leave far more, with fewer harmonics."""
+        return self.chosen.order == other.chosen.order and self.more_than(other) > np.log(DECISIVE)
 
     def serves_for(self, other):
         """Whether nothing speaks against it, and it leaves as little or has modes of the other.
