@@ -424,11 +424,10 @@ def test_fewer_states_do_not_stand_beside_a_sure_model_of_others(
         exponents = np.array(exponents, complex)
         spread = np.full(len(exponents), deviation)
         opinion = Opinion(exponents, spread, 0.8, "the two halves of the record have", own=True)
-        large = SimpleNamespace(covariance=left * np.eye(2))
-        chosen = SimpleNamespace(order=len(exponents))
-        it = _Found(None, chosen, SimpleNamespace(large=large))
+        it = _Found(None, SimpleNamespace(order=len(exponents)), None)
         model = SimpleNamespace(exponents=lambda: exponents, omega=0.8, opinion=opinion)
-        it.__dict__.update(model=model, against=against)
+        left = SimpleNamespace(variance=left)
+        it.__dict__.update(model=model, against=against, left=left)
         return it
 
     whole = found(against, 1.0, -0.23, -2.0)  # of the second a turn leaves nothing

@@ -309,28 +309,26 @@ class _Found:
     def stands_beside(self, other):
         """Whether it may stand for the other where its criterion of predictions is lower.
 
-        It has as many states, or leaves no more beside products, or the other's exponents are in
+        It has as many states, or its simulation leaves no more, or the other's exponents are in
         doubt, or they confirm its own.
         """
         alike = self.chosen.order == other.chosen.order
-        if alike or other.against or other.model.opinion is None or self.more_than(other) <= 0.0:
+        no_more = self.left.variance <= other.left.variance
+        if alike or no_more or other.against or other.model.opinion is None:
             return True
         known = other.model.opinion.of_whole(other.model.exponents())
         return not why_unconfirmed(self.model.exponents(), known)
 
-    def more_than(self, other):
-        """Logarithm of the variance left beside products over what the other leaves, its mean.
+    def lacks_harmonics_of(self, other):
+        """Whether as many states leave far more beside products, be both below a sensor's noise.
 
-        However little both are: the criterion of predictions sees no difference below the noise of
-        a sensor.
+        There the criterion of predictions sees no difference.
         """
+        if self.chosen.order != other.chosen.order:
+            return False
         own, less = (one.refined.large.covariance for one in (self, other))
         more = np.linalg.slogdet(own)[1] - np.linalg.slogdet(less)[1]
-        return more / len(own)
-
-    def lacks_harmonics_of(self, other):
-        """Whether as many states leave far more, with fewer harmonics."""
-        return self.chosen.order == other.chosen.order and self.more_than(other) > np.log(DECISIVE)
+        return more > len(own) * np.log(DECISIVE)
 
     def serves_for(self, other):
         """Whether nothing speaks against it, and it leaves as little or has modes of the other.
