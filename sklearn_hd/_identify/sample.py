@@ -320,9 +320,10 @@ class _Found:
         return not why_unconfirmed(self.model.exponents(), known)
 
     def lacks_harmonics_of(self, other):
-        """Whether as many states leave far more beside products, be both below a sensor's noise.
+        """Whether it has as many states and leaves far more beside products.
 
-        There the criterion of predictions sees no difference.
+        Both may leave less than the noise of a sensor, below which the criterion of predictions
+        sees no difference.
         """
         if self.chosen.order != other.chosen.order:
             return False
