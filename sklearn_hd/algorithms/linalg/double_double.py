@@ -145,12 +145,8 @@ def all_slices(values):
 def product(left, right, exact):
     """leftᵀ right over common rows, of entries up to one in size: a Pair.
 
-    Parameters
-    ----------
-    left, right : ndarray, shapes (n, r), (n, s)
-        n up to 2¹⁷.
-    exact : bool
-        In double-double, without rounding.
+    ``left`` and ``right`` have n rows, up to 2¹⁷. If ``exact``, the product is in
+    double-double, without rounding; else it is in double.
     """
     if not exact:
         return Pair(left.T @ right)
@@ -185,17 +181,9 @@ def _inverse_root(high, low):
 def cholesky(high, low):
     """Upper triangular R, RᵀR = G, of a positive semidefinite matrix of pairs.
 
-    A row of zeros stands where a diagonal entry is but the rounding of 106 bits.
-
-    Parameters
-    ----------
-    high, low : ndarray, shape (n, n)
-        G; the upper triangle is read.
-
-    Returns
-    -------
-    R : ndarray, shape (n, n)
-        Rounded to double: as good as the factor by orthogonal transformations.
+    A row of zeros stands where a diagonal entry is but the rounding of 106 bits. G is
+    high + low, of which the upper triangle is read. R is rounded to double: it is as
+    good as the factor by orthogonal transformations.
 
     Examples
     --------

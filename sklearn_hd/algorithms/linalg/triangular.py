@@ -32,16 +32,9 @@ def safe_cholesky(G, rounding=EPS, overwrite=False):
     """R factor from a product XᵀX in double, or None where rounding would be seen in it.
 
     With columns brought to equal length, rounding of G by ε perturbs them by about ε ‖R⁻¹‖²
-    beside each other, squared Frobenius norm.
-
-    Parameters
-    ----------
-    G : ndarray, shape (r, r)
-        The upper triangle is read.
-    rounding : float, default=machine epsilon
-        Of its entries, beside the lengths of columns.
-    overwrite : bool, default=False
-        Whether R may take the place of G.
+    beside each other, squared Frobenius norm. ε is ``rounding``, relative to the
+    lengths of columns. Only the upper triangle of G is read. With ``overwrite``, R may
+    take the place of G.
     """
     squares = np.diagonal(G)
     if not np.all(squares > 0.0):  # less than zero by rounding, where columns hold next to nothing
@@ -70,17 +63,8 @@ def _inverse_square(L, size):
 def all_above_rounding(R):
     """Whether all singular values surely are more than rounding of the largest.
 
-    By ‖R‖ ‖R⁻¹‖ in Frobenius norms, which takes a tenth of the time of the singular values.
-
-    Parameters
-    ----------
-    R : ndarray, shape (r, r)
-        Upper triangular.
-
-    Returns
-    -------
-    surely : bool
-        False where they may be or not.
+    By ‖R‖ ‖R⁻¹‖ in Frobenius norms, which takes a tenth of the time of the singular
+    values. R is upper triangular. False says that they may be or not.
 
     Examples
     --------
@@ -111,12 +95,8 @@ def column_rms(matrix):
 def svd_within_rank(matrix, rank=DEPENDENT, largest=None):
     """Singular vectors and values U, s, Vᵀ of a matrix, but for those that are rounding.
 
-    Parameters
-    ----------
-    matrix : ndarray, shape (n_rows, n_columns)
-    rank : float, default=1.5e-11
-        Share of the largest singular value, or of ``largest``, down to which they are left out.
-    largest : float, optional
+    They are left out down to the share ``rank`` of the largest singular value, or of
+    ``largest`` if that is given.
 
     Examples
     --------
@@ -131,15 +111,10 @@ def svd_within_rank(matrix, rank=DEPENDENT, largest=None):
 def solve_within_rank(X, Y, size=None, cond=DEPENDENT):
     """Least-squares solution of X Z = Y of least norm, columns of X brought to equal length.
 
-    Parameters
-    ----------
-    X : ndarray, shape (r, p)
-    Y : ndarray, shape (r, q) or (r,)
-    size : ndarray, shape (p,), optional
-        Lengths of what the columns of X are the rest of, where parts were projected out: a
-        column that is nothing but rounding beside them is left out.
-    cond : float
-        Share of the largest singular value, below which the others count as zero.
+    ``size`` holds the lengths of what the columns of X are the rest of, where parts
+    were projected out: a column that is nothing but rounding beside them is left out.
+    Singular values below the share ``cond`` of the largest count as zero. Y has shape
+    (r, q) or (r,).
 
     Examples
     --------
