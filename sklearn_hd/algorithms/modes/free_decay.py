@@ -72,16 +72,8 @@ def periods_at_rest(inputs):
     """Periods of free decay: those at rest that follow on motion, or whole segments at rest.
 
     Where less than half of the periods rest, inputs pass the level of the rest as they pass others:
-    only decays that end a segment count then.
-
-    Parameters
-    ----------
-    inputs : list of ndarray, shapes (n_periods_s, samples_per_period, m)
-
-    Returns
-    -------
-    stretches : list of (segment, slice)
-        Two periods or more each.
+    only decays that end a segment count then. Inputs have shapes (n_periods_s,
+    samples_per_period, m). Returns pairs (segment, slice) of two periods or more each.
     """
     stacked = np.concatenate(inputs)
     moved = np.abs(stacked - np.median(stacked, axis=0))
@@ -123,14 +115,9 @@ def smooth_parts(decays):
 def offsets(decays, multipliers=()):
     """What each decay has of its own: a constant, which its level is off by, and other motions.
 
-    Columns (n_periods_s, c).
-
-    Parameters
-    ----------
-    decays : list of ndarray, n_periods_s rows each
-    multipliers : complex array_like
-        Of motions beside those of the modes, as a nonlinear response has them. They are left out
-        if the decays are too few periods for so many columns.
+    There is one array a decay, (n_periods_s, c). ``multipliers`` are those of motions
+    beside the modes, as a nonlinear response has them. They are left out if the decays
+    are too few periods for so many columns.
     """
     first = np.asarray(multipliers, dtype=complex)
     first = first[first.imag >= 0.0]
@@ -154,14 +141,9 @@ def free_decay(decays, order=None, compare=True):
     nonlinear machine's response is of that size. Modes that fits of more states agree on then take
     their place, without products of others.
 
-    Parameters
-    ----------
-    decays : list of ndarray, shapes (n_periods_s, q)
-        Outputs of whole periods, in like units.
-    order : int, optional
-        So many modes.
-    compare : bool
-        Whether to compare with the decays without their first periods.
+    ``decays`` hold outputs of whole periods, in like units, shapes (n_periods_s, q).
+    ``order`` sets the number of modes; fits of more states are not looked at then.
+    ``compare`` says whether to compare with the decays without their first periods.
     """
     if not decays:
         return None
@@ -238,14 +220,8 @@ def _until_no_motion(found, decays):
 def is_product(logs, factors, tolerance):
     """Which multipliers are products of two or three others, as second-order responses have them.
 
-    Parameters
-    ----------
-    logs : complex ndarray, shape (n,)
-        Logarithms of multipliers.
-    factors : complex ndarray, shape (k,)
-        Logarithms of those others.
-    tolerance : ndarray, shape (n,)
-        How far from a sum a logarithm may be, apart from multiples of 2πj.
+    ``logs``, (n,), and ``factors``, (k,), are logarithms of multipliers. ``tolerance``,
+    (n,), says how far from a sum a logarithm may be, apart from multiples of 2πj.
 
     Examples
     --------
@@ -269,13 +245,9 @@ def without_products(found, decays):
     These are products of two or three other modes, to 1 % of their rate, and weak: without one,
     the others leave less than a hundredth of the decays' energy. If one is surely such a product,
     others are that may be within two standard deviations. Weak modes in whose place squares of the
-    others explain the decays stay, and are known no better than such products are told apart.
-
-    Parameters
-    ----------
-    found : FreeDecay
-    decays : list of ndarray, shapes (n_periods_s, q)
-        As for :func:`free_decay`. Of a linear machine such modes would be its own.
+    others explain the decays stay, and are known no better than such products are told
+    apart. Decays are as for :func:`free_decay`. Of a linear machine such modes would be
+    its own.
     """
     ones, stacked = offsets(decays), np.vstack(decays)
     sure, known = _products(found, ALIKE), np.vstack(ones)
@@ -339,17 +311,8 @@ def _agreed(found, decays):
     are different in each fit. Products of slower ones are left out; a new mode is one if it may be
     one. Deviations are at least what the two fits differ by, and the square of what they were, in
     parts of the rate: the next order of what is not linear. If the two fits know the modes found
-    less well, these stay. One that the two do not have is known no better than their nearest.
-
-    Parameters
-    ----------
-    found : FreeDecay or None
-        Of as many states as the directions that count.
-    decays : list of ndarray, shapes (n_periods_s, q)
-
-    Returns
-    -------
-    found : FreeDecay or None
+    less well, these stay. One that the two do not have is known no better than their
+    nearest. ``found`` has as many states as the directions that count; None stays None.
     """
     if found is None or _known(found, ENOUGH).all():
         return found
