@@ -109,11 +109,8 @@ _BRACKET = 1e-3  # how far AB13DD's peak may lie from the top, relative
 def refine_peaks(gains, low, high):
     """Tops of a gain between bounds: frequencies, and heights to ten digits after three rounds.
 
-    Parameters
-    ----------
-    gains : callable
-        Gains at frequencies of any shape.
-    low, high : ndarray, shape (n_peaks,)
+    ``gains`` takes frequencies of any shape; ``low`` and ``high`` have shape
+    (n_peaks,).
     """
     rows = np.arange(len(low))
     for _ in range(3):  # in each the bounds close in on the top by a factor of four
@@ -135,16 +132,9 @@ def refine_peaks(gains, low, high):
 def tops_between(frequencies, gains):
     """Where parabolas through three neighbours have their top, and how high.
 
-    Parameters
-    ----------
-    frequencies, gains : ndarray, shape (n_points,)
-        In any order; infinite frequencies are left out.
-
-    Returns
-    -------
-    tops, heights, sampled : ndarray, shape (n_tops,)
-        Frequencies of tops that are none of the points, heights of the parabolas there, and
-        the largest gain of the three neighbours.
+    Points come in any order; infinite frequencies are left out. Returns the frequencies
+    of tops that are none of the points, the heights of the parabolas there, and the
+    largest gain of the three neighbours.
 
     Examples
     --------
@@ -171,16 +161,8 @@ def tops_between(frequencies, gains):
 def check_stable(A, dt):
     """Raise unless every eigenvalue of A is strictly inside the stability region.
 
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    dt : float, True or None
-        Sample time; None or 0: the left half plane, else the unit disc.
-
-    Raises
-    ------
-    UnstableModelError
-        Naming the worst pole.
+    That is the left half plane where ``dt`` is None or 0, else the unit disc. The
+    UnstableModelError names the worst pole.
     """
     poles = linalg.eigvals(A) if len(A) else np.empty(0)
     continuous = _sample_time(dt) is None

@@ -47,18 +47,9 @@ def propagate(A, forcing, x0):
     In blocks of some steps: their responses from rest take one matrix product a step for
     all blocks at once, and the states at their starts follow from the same recursion with
     a power of A. Few samples go by recursive doubling (Kogge and Stone, 1973).
-
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    forcing : ndarray, shape (..., n_samples, n)
-        v[k]; the last row is not used.
-    x0 : ndarray, shape (..., n)
-
-    Returns
-    -------
-    states : ndarray, shape (..., n_samples, n)
-        Infinite or NaN where an unstable A makes them overflow.
+    ``forcing``, (..., n_samples, n), holds v[k]; its last row is not used. ``x0`` has
+    shape (..., n). The states are infinite or NaN where an unstable A makes them
+    overflow.
 
     Examples
     --------
@@ -118,12 +109,8 @@ def simulate(A, B, C, D, inputs, x0):
 
     In blocks of T samples, all at once: y is linear in the state before a block and in the
     inputs of the block, and so is the state after it; only states at the starts of blocks are
-    found one after the other.
-
-    Returns
-    -------
-    outputs : ndarray, shape (n_samples, l)
-        Infinite or NaN where an unstable A makes the states overflow.
+    found one after the other. Outputs, (n_samples, l), are infinite or NaN where an
+    unstable A makes the states overflow.
 
     Examples
     --------
@@ -183,15 +170,7 @@ def _outputs_block(n_states, n_inputs, n_outputs, n_samples):
 
 
 def continuous_to_discrete(A, B, dt):
-    """Zero-order-hold equivalent (A_d, B_d) of (A, B) at sample time dt.
-
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    B : ndarray, shape (n, m)
-    dt : float
-        Sample time in seconds.
-    """
+    """Zero-order-hold equivalent (A_d, B_d) of (A, B) at sample time dt."""
     n, m = B.shape
     block = np.zeros((n + m, n + m), dtype=np.result_type(A, B, float))
     size = _units(B, axis=0) * dt
@@ -204,13 +183,9 @@ def discrete_to_continuous(A, B, dt):
     """Continuous (A, B) whose zero-order-hold equivalent at dt is the given pair.
 
     The inverse of :func:`continuous_to_discrete`, by the principal matrix
-    logarithm of the block matrix [[A, B], [0, I]].
-
-    Raises
-    ------
-    ValueError
-        If A has an eigenvalue on the closed negative real axis, where no real
-        logarithm exists, or the logarithm is not accurate to 1e-6.
+    logarithm of the block matrix [[A, B], [0, I]]. It raises ValueError if A has an
+    eigenvalue on the closed negative real axis, where no real logarithm exists, or if
+    the logarithm is not accurate to 1e-6.
     """
     A, B = np.asarray(A, dtype=float), np.asarray(B, dtype=float)
     n, m = B.shape
@@ -235,10 +210,7 @@ def discrete_to_continuous(A, B, dt):
 def real_logarithm(matrix):
     """Principal logarithm of a matrix that has a real one.
 
-    Raises
-    ------
-    ValueError
-        If its exponential misses the matrix by 1e-6 or more.
+    It raises ValueError if its exponential misses the matrix by 1e-6 or more.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # judged below, by the residual
@@ -270,11 +242,7 @@ def logarithm(matrix):
 def frequency_response(A, B, C, D, s):
     """Transfer matrices C (sI − A)⁻¹ B + D, (n_points, l, m), at some points of the complex plane.
 
-    Parameters
-    ----------
-    A, B, C, D : ndarray, shapes (n, n), (n, m), (l, n), (l, m)
-    s : array_like of complex, shape (n_points,)
-        s = jω (continuous) or z = e^{jω dt} (discrete).
+    The points are s = jω in continuous time and z = e^{jω dt} in discrete time.
     """
     s = np.atleast_1d(np.asarray(s, dtype=complex))
     n = A.shape[0]
@@ -302,19 +270,9 @@ def step_response(A, B, C, D, step, count, *, dt=0.0, impulse=False):
         step     y(t) = C ∫_0^{t} e^{As} B ds + D,      impulse   y(t) = C e^{At} B
 
     In discrete time the impulse is 1/dt at the first sample. The impulse D δ(t) of a
-    continuous feedthrough has no height and is left out. ``StepResponseDisplay`` draws both.
-
-    Parameters
-    ----------
-    A, B, C, D : ndarray
-        Continuous, or discrete with the sample time dt.
-    step : float
-        Seconds between the values of a continuous model; a discrete one has its own.
-    count : int
-        Number of values, the first at t = 0.
-    dt : float, default=0.0
-        Sample time; 0 in continuous time.
-    impulse : bool, default=False
+    continuous feedthrough has no height and is left out. ``StepResponseDisplay`` draws
+    both. ``step`` is the time between the values of a continuous model; a discrete one
+    has its own, ``dt``. The first of ``count`` values is at t = 0.
     """
     discrete, held = (A, B) if dt else continuous_to_discrete(A, B, step)
     first = (held / dt if dt else B) if impulse else np.zeros(B.shape)
@@ -343,16 +301,8 @@ def is_stable(A):
 def nearest_stable(A, weights):
     """The stable matrix nearest to A.
 
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    weights : ndarray, shape (n,)
-        The diagonal of W: how much a change of each next state counts.
-
-    Returns
-    -------
-    A : ndarray, shape (n, n)
-        As given where it is stable.
+    ``weights``, (n,), is the diagonal of W: how much a change of each next state
+    counts. A stable A is returned as given.
 
     References
     ----------
@@ -378,18 +328,9 @@ def nearest_stable(A, weights):
 def block_diagonal(A, B, C, slow, fast):
     """Coordinates in which the modes of two groups of eigenvalues do not interact.
 
-    Ordered Schur form, then a Sylvester equation (Bartels and Stewart, 1972).
-
-    Parameters
-    ----------
-    A, B, C : ndarray, shapes (n, n), (n, m), (l, n)
-    slow, fast : complex ndarray
-        All eigenvalues of A, in two conjugate-closed groups.
-
-    Returns
-    -------
-    A, B, C : ndarray
-        The same system; its first ``len(slow)`` states hold the slow modes.
+    Ordered Schur form, then a Sylvester equation (Bartels and Stewart, 1972). ``slow``
+    and ``fast`` hold all eigenvalues of A, in two conjugate-closed groups. Returns A,
+    B, C of the same system, whose first ``len(slow)`` states hold the slow modes.
     """
     n_slow = len(slow)
     if n_slow in (0, len(A)):
@@ -418,11 +359,8 @@ def block_diagonal(A, B, C, slow, fast):
 def residualize(A, B, C, D, slow, fast):
     """Slow modes A, B, C, D of a continuous-time model, fast ones replaced by their static gain.
 
-    Parameters
-    ----------
-    A, B, C, D : ndarray
-    slow, fast : complex ndarray
-        All eigenvalues of A, in two conjugate-closed groups; no fast one is zero.
+    ``slow`` and ``fast`` hold all eigenvalues of A, in two conjugate-closed groups; no
+    fast one is zero.
 
     Examples
     --------

@@ -51,15 +51,8 @@ class Sizes:
 class AffineStructure(Sizes):
     """State-space model with entries affine in its parameters.
 
-    Parameters
-    ----------
-    constant : ndarray, shape (n + l, n + m)
-        S₀: [A B; C D] at θ = 0.
-    basis : ndarray, shape (k, n + l, n + m)
-        S_k: what one unit of each parameter adds.
-    n_states : int
-        n, which says where [A B; C D] is divided.
-    parameter_names : tuple of str, length k
+    ``constant`` is S₀, (n + l, n + m), and ``basis`` stacks the S_k, (k, n + l, n + m).
+    ``n_states`` is n, which says where [A B; C D] is divided.
 
     Examples
     --------
@@ -90,19 +83,9 @@ class AffineStructure(Sizes):
     def project(self, stacked, weights=None):
         """Parameters of the structured matrix nearest to a given one, and the rest.
 
-        Parameters
-        ----------
-        stacked : ndarray, shape (n + l, n + m)
-            [A B; C D].
-        weights : ndarray, shape (n + l, n + m), optional
-            Positive weights of the entries in the sum of squares; 1 by default.
-
-        Returns
-        -------
-        theta : ndarray, shape (k,)
-            The smallest one where several are equally near.
-        residual : ndarray, shape (n + l, n + m)
-            Weighted difference left.
+        ``stacked`` is [A B; C D]. ``weights``, of the same shape, are positive weights
+        of its entries in the sum of squares, 1 by default. Returns (theta, residual):
+        the smallest θ where several are equally near, and the weighted difference left.
         """
         weights = np.ones_like(self.constant) if weights is None else weights
         columns = (weights * self.basis).reshape(self.n_parameters, -1).T
@@ -155,14 +138,9 @@ class AffineStructure(Sizes):
     def curvature(self, theta, s, left_vectors, right_vectors):
         """Σ_ij Re(p_ijᴴ ∂²G(s_i)/∂θ² v_ij), shape (k, k).
 
-        Parameters
-        ----------
-        theta : ndarray, shape (k,)
-        s : complex ndarray, shape (n_points,)
-            At infinity G is affine.
-        left_vectors, right_vectors : complex ndarray
-            p_ij and v_ij, shapes (n_points, n_vectors, l) and (n_points, n_vectors, m); one a
-            point without their second axis.
+        ``left_vectors`` are p_ij, (n_points, n_vectors, l), and ``right_vectors`` v_ij,
+        (n_points, n_vectors, m); one a point may come without their second axis. At
+        infinity, G is affine.
         """
         matrices, n = self.matrices(theta), self.n_states
         finite = np.isfinite(s)
@@ -203,12 +181,7 @@ def _response(matrices, right):
 
 
 class TriangularForm:
-    """(sI − A)⁻¹ B and C (sI − A)⁻¹ at many points.
-
-    Attributes
-    ----------
-    poles : complex ndarray, shape (n,)
-    """
+    """(sI − A)⁻¹ B and C (sI − A)⁻¹ at many points."""
 
     def __init__(self, A):
         self._A = A
