@@ -49,18 +49,9 @@ MOST_CHOICES = 1000  # of outputs as states, that are tried
 def behind_samples(innovations, omega):
     """The continuous model behind a discrete periodic one, outputs its states where they can be.
 
-    Parameters
-    ----------
-    innovations : PeriodicInnovations
-    omega : float
-        rad/s.
-
-    Raises
-    ------
-    ValueError
-        If a model without harmonics has an eigenvalue on the closed negative real axis.
-    FloquetError
-        If the multipliers of one with harmonics are those of no periodic system.
+    It raises ValueError if a model without harmonics has an eigenvalue on the closed
+    negative real axis, and FloquetError if the multipliers of one with harmonics are
+    those of no periodic system.
     """
     if innovations.n_harmonics == 0:
         return time_invariant(innovations, omega)
@@ -72,14 +63,9 @@ def behind_samples(innovations, omega):
 class ContinuousModel:
     """Fourier coefficients of a continuous periodic system, in the order 0, 1c, 1s, ….
 
-    Attributes
-    ----------
-    F, G, P, Q : ndarray, shapes (2 K + 1, rows, columns)
-        K of each its own.
-    rows : list of int, or None
-        Outputs that are the states; None in Floquet coordinates.
-    form : FloquetForm or None
-        What F may be in Floquet coordinates.
+    F, G, P and Q have shapes (2 K + 1, rows, columns), each with a K of its own.
+    ``rows`` are the outputs that are the states, and None in Floquet coordinates.
+    ``form`` is what F may be there, or None.
     """
 
     F: np.ndarray
@@ -158,10 +144,8 @@ class Turn:
     def model(self, rows=None):
         """The continuous model, with some outputs as states or in Floquet coordinates.
 
-        Raises
-        ------
-        FloquetError
-            In Floquet coordinates, if an odd number of multipliers is negative.
+        In Floquet coordinates, it raises FloquetError if an odd number of multipliers
+        is negative.
         """
         F, seen, form = self._in_coordinates(self.fine, rows)
         now = self._in_coordinates(self.psi, rows)[1][:, self.n_outputs :]
@@ -183,12 +167,8 @@ class Turn:
 def turn_of(innovations, omega):
     """The Turn of a discrete periodic model: its Floquet form.
 
-    Arguments as for :func:`behind_samples`.
-
-    Raises
-    ------
-    FloquetError
-        If a multiplier is zero.
+    Arguments are those of :func:`behind_samples`. It raises FloquetError if a step from
+    one sample to the next forgets a state.
     """
     n = innovations.n_states
     psi, states, outputs = innovations.whole_turn()
@@ -202,20 +182,10 @@ def turn_of(innovations, omega):
 def floquet_states(A, period):
     """Periodic states X_j, and R, of x[j+1] = A_j x[j]: x moves as X e^{Rt}.
 
-    Parameters
-    ----------
-    A : ndarray, shape (q, n, n)
-        Of the equal steps of one turn.
-    period : float
-        Seconds.
-
-    Returns
-    -------
-    X : ndarray, shape (q, n, n)
-    R : ndarray, shape (n, n)
-        1/s.
-    flips : ndarray of bool, shape (n,)
-        Columns of X that change sign from one turn to the next; they come first.
+    A holds the q equal steps of one turn, which takes ``period`` seconds. Returns
+    (X, R, flips): R is in 1/s, and ``flips`` tells which columns of X change sign from
+    one turn to the next; they come first. It raises FloquetError if a step forgets a
+    state.
 
     Examples
     --------
@@ -255,10 +225,7 @@ def _group(bases, factors, period):
 def time_invariant(innovations, omega):
     """The continuous model of one without harmonics, inputs held between samples.
 
-    Raises
-    ------
-    ValueError
-        If A has an eigenvalue on the closed negative real axis.
+    It raises ValueError if A has an eigenvalue on the closed negative real axis.
     """
     A, B, C, D = (M[0] for M in innovations.matrices())
     F, G = discrete_to_continuous(A, B, innovations.step / omega)
@@ -268,16 +235,8 @@ def time_invariant(innovations, omega):
 def input_matrix(F, Gamma, start, omega):
     """G(ψ) of as few harmonics as move the states by Γ_j, held over each of the steps of a turn.
 
-    Its coefficients, (2 K + 1, n, m).
-
-    Parameters
-    ----------
-    F : ndarray, shape (2 K + 1, n, n)
-        Fourier coefficients.
-    Gamma : ndarray, shape (q, n, m)
-    start : float
-        ψ of the first step.
-    omega : float
+    F holds Fourier coefficients, and Γ holds one matrix a step, (q, n, m). The first
+    step begins at ψ = ``start``. The coefficients of G have shape (2 K + 1, n, m).
     """
     (q, n, m), highest = Gamma.shape, len(Gamma) // 2
     structure = PeriodicStructure(turned(F, -start), np.zeros((0, F.size)), n, ())
@@ -297,17 +256,11 @@ def input_matrix(F, Gamma, start, omega):
 def nearest_steps(structure, coefficients, omega, n_phases, weights):
     """Parameters of a structure whose steps over a turn, and outputs, are nearest to a model's.
 
-    Parameters
-    ----------
-    structure : PeriodicStructure
-    coefficients : ndarray, shape (2 K + 1, n + l, n + m)
-        Of [F G; P Q](ψ) of the model, in the same coordinates.
-    omega : float
-    n_phases : int
-        Steps.
-    weights : tuple of ndarray, shapes (n, n), (l, l) and (n + m, n + m)
-        Errors of a step's states and of outputs count as the squares of what they and a factor of
-        the covariance of states and inputs make of them.
+    ``coefficients`` are those of [F G; P Q](ψ) of the model, in the same coordinates,
+    and ``n_phases`` is the number of steps. The first two ``weights``, (n, n) and
+    (l, l), multiply errors of a step's states and of outputs from the left. The third,
+    (n + m, n + m), multiplies both from the right: it is a factor of the covariance of
+    states and inputs.
     """
     *lefts, right = weights
     n = structure.n_states
@@ -342,20 +295,9 @@ def at_every_phase(M, n_phases):
 def samples_of(coefficients, n_states, omega, step):
     """Fourier coefficients of the discrete model of a continuous one, inputs held over each step.
 
-    Parameters
-    ----------
-    coefficients : ndarray, shape (2 K + 1, n + l, n + m)
-        Of [F G; P Q](ψ).
-    n_states : int
-        n.
-    omega : float
-    step : float
-        Radians, any.
-
-    Returns
-    -------
-    coefficients : ndarray, shape (2 K' + 1, n + l, n + m)
-        Of [A B; C D](ψ): over the step that begins at ψ.
+    ``coefficients`` are those of [F G; P Q](ψ), and ``step`` is any angle in radians.
+    The result holds those of [A B; C D](ψ) over the step that begins at ψ. It may have
+    more harmonics.
     """
     n = n_states
     F, G = trimmed_harmonics(coefficients[:, :n, :n]), trimmed_harmonics(coefficients[:, :n, n:])

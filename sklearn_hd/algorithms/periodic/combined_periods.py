@@ -52,7 +52,6 @@ class CombinedPeriods:
             What one unit of each parameter adds to Γ.
         direct : ndarray, shape (k, n_phases, l, m), or None
             What it adds to Q; nothing by default.
-        scale : ndarray, shape (l,)
 
         Returns
         -------
@@ -109,21 +108,10 @@ class CombinedPeriods:
 def combined_periods(Phi, u, y, n_phases, first_phase):
     """The combinations of a segment's periods in which Φ lets states move.
 
-    Parameters
-    ----------
-    Phi : ndarray, shape (n, n)
-        Over a period from the first sample of the segment on.
-    u, y : ndarray, shapes (n_samples, m) and (n_samples, l)
-    n_phases, first_phase : int
-
-    Returns
-    -------
-    periods : CombinedPeriods
-        ``starts`` by the segment's own initial state.
-    combinations : ndarray, shape (n_periods, d)
-        Orthonormal.
-    rest : ndarray, shape (n_periods, n_phases, l)
-        Of the outputs, in no combination.
+    ``Phi`` is that over a period from the first sample of the segment on. Returns
+    (periods, combinations, rest). The ``starts`` of the periods are by the segment's
+    own initial state. The combinations, (n_periods, d), are orthonormal. The rest,
+    (n_periods, n_phases, l), is what of the outputs is in no combination.
     """
     n, whole = len(Phi), len(u) // n_phases
     size = column_sizes(u)
@@ -164,12 +152,7 @@ class NestedLeastSquares:
     """min |y − X b|², solved again after columns have been added to X.
 
     X = Q R grows by blocks: what is new in a block is found off Q, twice (Daniel and others,
-    1976), so that no column is orthogonalised again.
-
-    Parameters
-    ----------
-    target : ndarray, shape (n_rows,)
-        y.
+    1976), so that no column is orthogonalised again. ``target`` is y.
 
     References
     ----------
@@ -224,23 +207,11 @@ class NestedLeastSquares:
         b_j is free where its stiffness is zero: the shortest solution, columns counted as of one
         length. Of y − X b, of variance σ², and of τ, the marginal likelihood is greatest.
 
-        Parameters
-        ----------
-        stiffness : ndarray, shape (k,), optional
-            Zero by default: plain least squares.
-        beyond : float, default=0.0
-            Sum of squares of rows that are in no column.
-        n_rows : float, optional
-            Independent rows, of all; ``n_rows`` of y by default.
-
-        Returns
-        -------
-        solution : ndarray, shape (k,)
-            b.
-        left : ndarray, shape (n_rows,)
-            y − X b.
-        misfit : float
-            −2 log of the marginal likelihood, but for a constant, and log n_rows for τ (Schwarz).
+        ``stiffness`` is zero by default: plain least squares. ``beyond`` is the sum of
+        squares of rows that are in no column, and ``n_rows`` is the number of
+        independent rows in all, by default that of y. Returns (b, y − X b, misfit). The
+        misfit is −2 log of the marginal likelihood, but for a constant, plus log n_rows
+        for τ where there is one (Schwarz).
         """
         stiffness = np.zeros(len(self.size)) if stiffness is None else stiffness
         n_rows = len(self.target) if n_rows is None else n_rows

@@ -113,8 +113,6 @@ def transition_matrices(F, G, psi, omega, *, tolerance=1e-14):
         ψ of shape (n_points,) -> (n_points, n, m); None if there is no input.
     psi : array_like, shape (n_intervals + 1,)
         Ends of the intervals in radians, increasing.
-    omega : float
-        Fundamental frequency, rad/s.
     tolerance : float, default=1e-14
         Largest difference of an interval and its halves, relative to Φ (with the
         states in units that balance F) and to the largest Γ of the input.
@@ -183,15 +181,10 @@ def propagate_periodic(Phi, forcing, x0):
 
     Each period's response to its own forcing, from rest, takes p steps for all
     periods at once; the states at the period boundaries follow from the
-    time-invariant recursion of the monodromy matrix.
-
-    Parameters
-    ----------
-    Phi : ndarray, shape (p, n, n)
-        Transition matrices of one period; p ≥ n_samples - 1 if nothing repeats.
-    forcing : ndarray, shape (..., n_samples, n)
-        v[k]; the last row is not used.
-    x0 : ndarray, shape (..., n)
+    time-invariant recursion of the monodromy matrix. Φ holds the matrices of one
+    period, (p, n, n); p ≥ n_samples − 1 if nothing repeats. ``forcing``,
+    (..., n_samples, n), holds v[k]; its last row is not used. ``x0`` has shape
+    (..., n).
 
     Examples
     --------
@@ -348,20 +341,10 @@ def _from_rest(steps, v):
 def floquet_exponents(F, omega, *, tolerance=1e-14):
     """Floquet exponents λ of ẋ = F(ψ) x, however far apart.
 
-    Parameters
-    ----------
-    F : callable
-        ψ of shape (n_points,) -> (n_points, n, n), in 1/s.
-    omega : float
-        Fundamental frequency, rad/s.
-    tolerance : float, default=1e-14
-        As for :func:`transition_matrices`.
-
-    Returns
-    -------
-    exponents : complex ndarray, shape (n,)
-        In 1/s, with imaginary part in (−ω/2, ω/2], from the rightmost leftwards,
-        conjugate pairs with the negative imaginary part first.
+    F takes ψ of shape (n_points,) and gives (n_points, n, n), in 1/s; ``tolerance`` is
+    that of :func:`transition_matrices`. Exponents have imaginary parts in (−ω/2, ω/2],
+    and come from the rightmost leftwards, conjugate pairs with the negative imaginary
+    part first.
 
     References
     ----------
@@ -394,15 +377,9 @@ def floquet_exponents(F, omega, *, tolerance=1e-14):
 def product_logarithms(factors):
     """Logarithms of the eigenvalues of Φ_p … Φ_2 Φ_1, the product not formed.
 
-    Parameters
-    ----------
-    factors : ndarray, shape (p, n, n)
-        Φ_1 first; nonsingular, each well enough conditioned to be inverted.
-
-    Returns
-    -------
-    logarithms : complex ndarray, shape (n,)
-        With imaginary part in [−π, π]; conjugate where the eigenvalues are.
+    ``factors`` has shape (p, n, n), with Φ_1 first. Each factor is nonsingular, and
+    conditioned well enough to be inverted. The logarithms have imaginary parts in
+    [−π, π], and are conjugate where the eigenvalues are.
 
     Examples
     --------
@@ -437,21 +414,10 @@ def separated_factors(factors):
         Φ_k E_k = E_{k+1} diag(factors of each group),   E_p = E_0
 
     A group is where what is slower never goes (right subspaces, carried forwards) and what is
-    faster never comes from (left ones, carried backwards): noise in one is not blown up in another.
-
-    Parameters
-    ----------
-    factors : ndarray, shape (p, n, n)
-        As for :func:`product_logarithms`.
-
-    Returns
-    -------
-    bases : ndarray, shape (p, n, n)
-        E.
-    groups : list of slice
-        Columns of E, the slowest group first.
-    own : list of ndarray, shapes (p, k, k)
-        Factors of each group.
+    faster never comes from (left ones, carried backwards): noise in one is not blown up
+    in another. Factors are given as for :func:`product_logarithms`. Returns
+    (bases, groups, own): E, (p, n, n); slices of its columns, with the slowest group
+    first; and the factors of each group, (p, k, k).
     """
     right, there, _ = _nested(factors)
     left, back, _ = _nested(factors.mT[::-1])

@@ -52,28 +52,11 @@ def floquet_coordinates(shapes, psi, omega, units=1.0):
     """F and P at some phases, in Floquet coordinates.
 
     Each mode's shape has an rms of one over a turn, whatever the states were that it was found
-    from; without a form, all shapes together.
-
-    Parameters
-    ----------
-    shapes : FloquetShapes
-    psi : ndarray, shape (n_points,)
-    omega : float
-        rad/s.
-    units : float or ndarray, shape (l,), default=1.0
-        By which outputs are multiplied before their shapes have that size.
-
-    Returns
-    -------
-    F : ndarray, shape (n_points, n, n)
-    P : ndarray, shape (n_points, l, n)
-    form : FloquetForm or None
-        What F may be; None if its modes are too close to be told apart.
-
-    Raises
-    ------
-    FloquetError
-        If an odd number of multipliers is negative.
+    from; without a form, all shapes together. Outputs are multiplied by ``units``,
+    (l,), before their shapes have that size. Returns (F, P, form), of shapes
+    (n_points, n, n) and (n_points, l, n). The form says what F may be; it is None if
+    its modes are too close to be told apart. It raises FloquetError if an odd number of
+    multipliers is negative.
     """
     P, _ = shapes(psi)
     n, n_flips = len(shapes.R), int(np.sum(shapes.flips))
@@ -180,19 +163,8 @@ def fixed_scale(structure, theta, form):
     """A structure in Floquet coordinates whose states' scale is fixed, and its parameters.
 
     Scaling a mode's coordinate (turning it, for a pair) changes P and G against each other,
-    and no output: what is largest of each mode's shape is held at its value.
-
-    Parameters
-    ----------
-    structure : PeriodicStructure
-    theta : ndarray, shape (k,)
-    form : FloquetForm
-
-    Returns
-    -------
-    structure : PeriodicStructure
-    theta : ndarray
-        Fewer by n.
+    and no output: what is largest of each mode's shape is held at its value. The
+    parameters become fewer by n.
     """
     n = structure.n_states
     shapes = structure.coefficients(theta)[:, n:, :n]

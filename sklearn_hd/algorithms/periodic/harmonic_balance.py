@@ -40,8 +40,6 @@ def solve_harmonic_balance(
         f(x, u, t), vectorised: x (n, k), u (m, k), t (k,) -> (n, k).
     jacobian : callable
         (x, u, t) -> (F, G, …), F of shape (k, n, n) and G of shape (k, n, m).
-    omega : float
-        Fundamental frequency, rad/s.
     coefficients : ndarray, shape (2 N + 1, n)
         Guess of the states' coefficients, in the order 0, 1c, 1s, …; its length
         sets the number of harmonics.
@@ -57,7 +55,6 @@ def solve_harmonic_balance(
         falls only with the square of their number.
     tolerance : float, default=1e-12
         Residual at which to stop, relative to the size of each state's rate.
-    max_iterations : int, default=50
 
     Returns
     -------
@@ -116,13 +113,7 @@ def evaluate_harmonics(coefficients, psi):
     """Periodic signals of real coefficients at any azimuths, (*psi.shape, *coefficients.shape[1:]).
 
     e^{j(n+k)ψ} = e^{jnψ} e^{jkψ}: one exponential at each azimuth, for they take time.
-
-    Parameters
-    ----------
-    coefficients : ndarray, shape (2 N + 1, ...)
-        In the order 0, 1c, 1s, ….
-    psi : array_like, shape (...,)
-        Azimuths in radians.
+    Coefficients stand along the first axis, in the order 0, 1c, 1s, ….
 
     Examples
     --------

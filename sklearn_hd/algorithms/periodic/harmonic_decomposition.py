@@ -47,19 +47,10 @@ def fourier_coefficients(matrix, n_harmonics, *, tolerance=1e-13):
     M(ψ) = M_0 + Σ_k (M_kc cos kψ + M_ks sin kψ), with the integrals taken by
     Gauss quadrature on panels that are halved until nothing changes.
 
-    Parameters
-    ----------
-    matrix : callable
-        ψ of shape (n_points,) -> (n_points, rows, columns).
-    n_harmonics : int
-    tolerance : float, default=1e-13
-        Largest change of a panel's integrals on halving it, relative to the
-        largest size of the entry.
-
-    Returns
-    -------
-    coefficients : ndarray, shape (2 n_harmonics + 1, rows, columns)
-        In the order 0, 1c, 1s, 2c, ….
+    ``matrix`` takes ψ of shape (n_points,) and gives (n_points, rows, columns).
+    Coefficients have shape (2 n_harmonics + 1, rows, columns), in the order 0, 1c, 1s,
+    2c, …. ``tolerance`` is the largest change of a panel's integrals on halving it,
+    relative to the largest size of the entry.
 
     Examples
     --------
@@ -93,13 +84,9 @@ def toeplitz_matrix(coefficients, n_row_harmonics, n_column_harmonics):
     coefficients the blocks are T_pq = M_{p−q}; the change to real ones uses
     s_kc = S_k + S_{−k} and s_ks = j (S_k − S_{−k}).
 
-    Parameters
-    ----------
-    coefficients : ndarray, shape (2 K + 1, rows, columns)
-        Real Fourier coefficients of M. Harmonics up to
-        n_row_harmonics + n_column_harmonics matter; those beyond K are zero.
-    n_row_harmonics, n_column_harmonics : int
-        Harmonics N of y and of x.
+    ``coefficients`` of M have shape (2 K + 1, rows, columns). Row harmonics are those
+    of y, and column harmonics are those of x. Harmonics of M up to their sum matter;
+    those beyond K are zero.
 
     Examples
     --------
@@ -125,21 +112,12 @@ def toeplitz_coefficients(T, row_places, column_places):
     M* = arg min_M ‖T − T(M)‖, with T(M) between the harmonics that two signals have
     (:func:`toeplitz_matrix`), the Frobenius norm, and entries of M each on their own.
 
-    Parameters
-    ----------
-    T : ndarray, shape (..., n_rows, n_columns)
-        Between one pair of signals; leading axes are further pairs with the same harmonics.
-    row_places, column_places : sequence of int
-        Which coefficients each signal has, as places in the order 0, 1c, 1s, ….
-
-    Returns
-    -------
-    coefficients : ndarray, shape (2 K + 1, ...)
-        K is the sum of the highest harmonics of the two signals.
-    nearest : ndarray, shape (..., n_rows, n_columns)
-        T(M*).
-    unseen : list of int
-        Harmonics that T does not determine, whose coefficients are not unique.
+    T stands between one pair of signals; leading axes are further pairs with the same
+    harmonics. ``row_places`` and ``column_places`` tell which coefficients each signal
+    has, as places in the order 0, 1c, 1s, …. Returns (coefficients, nearest, unseen).
+    Coefficients have shape (2 K + 1, ...); K is the sum of the highest harmonics of the
+    two signals. The nearest matrix is T(M*). Harmonics that T does not determine are
+    unseen: their coefficients are not unique.
 
     Examples
     --------
@@ -171,20 +149,9 @@ def harmonic_decomposition(F, G, P, Q, omega, n_states, n_inputs, n_outputs):
     A = T(F) − ω N, B = T(G), C = T(P), D = T(Q): T is :func:`toeplitz_matrix` and
     ω N the derivative of the harmonic functions, x_kc' ← −kω x_ks, x_ks' ← +kω x_kc.
 
-    Parameters
-    ----------
-    F, G, P, Q : ndarray, shapes (2 K + 1, rows, columns)
-        Real Fourier coefficients.
-    omega : float
-        Fundamental frequency, rad/s.
-    n_states, n_inputs, n_outputs : int
-        Harmonics N, M, L kept of x, u and y.
-
-    Returns
-    -------
-    A, B, C, D : ndarray
-        Shapes (n (2N+1), n (2N+1)), (n (2N+1), m (2M+1)), (l (2L+1), n (2N+1)) and
-        (l (2L+1), m (2M+1)).
+    F, G, P and Q hold real Fourier coefficients, (2 K + 1, rows, columns).
+    ``n_states``, ``n_inputs`` and ``n_outputs`` are the harmonics N, M, L kept of x, u
+    and y: A has n (2N+1) rows, B has m (2M+1) columns, and C and D have l (2L+1) rows.
 
     References
     ----------
@@ -281,20 +248,10 @@ def _real_parts(T, n_harmonics, cosine, sine):
 def base_families(mean, exponents, omega):
     """The base eigenvalue of each family of modes, closed under conjugation.
 
-    Parameters
-    ----------
-    mean : ndarray, shape (n, n)
-        F_0, the mean of F.
-    exponents : complex ndarray, shape (n,)
-        Floquet exponents, imaginary parts in (−ω/2, ω/2].
-    omega : float
-        rad/s.
-
-    Returns
-    -------
-    families : list of complex ndarray
-        Of a real exponent itself; of a conjugate pair both. Of a negative multiplier σ ± jω/2, two
-        eigenvalues of one mode: a time-invariant model cannot have one without the other.
+    ``mean`` is F_0, and ``exponents`` have imaginary parts in (−ω/2, ω/2]. A real
+    exponent has one base eigenvalue, and a conjugate pair has two. A negative
+    multiplier, of the exponent σ + jω/2, has two as well, though it is one mode: a
+    time-invariant model cannot have one without the other.
 
     Examples
     --------
@@ -364,25 +321,11 @@ def nearest_eigenvalues(wanted, found):
 def split_modes(coefficients, omega, wanted, n_harmonics, n_outputs, n_copies):
     """Some modes of a harmonic decomposition without the others, as ModesKept.
 
-    Parameters
-    ----------
-    coefficients : sequence of ndarray
-        Real Fourier coefficients of F, G, P and Q.
-    omega : float
-        rad/s.
-    wanted : complex ndarray
-        Their eigenvalues, closed under conjugation.
-    n_harmonics : int
-        N, of the states of the decomposition.
-    n_outputs : int
-        L, harmonics of y that the model has.
-    n_copies : int
-        K, copies of which reach and shown are told.
-
-    Raises
-    ------
-    ValueError
-        If a mode wanted and another have the same eigenvalue.
+    ``coefficients`` are the real Fourier coefficients of F, G, P and Q. ``wanted`` has
+    the eigenvalues of the modes, closed under conjugation. The decomposition has
+    N = ``n_harmonics`` harmonics of the states, and the model L = ``n_outputs``
+    harmonics of y. Reach and shown are told of K = ``n_copies`` copies. It raises
+    ValueError if a mode wanted and another have the same eigenvalue.
     """
     F, G, P, Q = coefficients
     n, m, l = F.shape[1], G.shape[2], P.shape[1]  # noqa: E741 (the field's letter)
@@ -433,14 +376,8 @@ def _by_harmonic(effects, n_signals, n_copies, turn):
 def shares(sizes):
     """Size of each harmonic over the largest of its mode and signal, the best of the signals.
 
-    Parameters
-    ----------
-    sizes : ndarray, shape (n_modes, n_signals, 2 K + 1)
-
-    Returns
-    -------
-    shares : ndarray, shape (n_modes, 2 K + 1)
-        From 0 to 1; a signal that no harmonic connects with a mode counts for nothing.
+    ``sizes`` has shape (n_modes, n_signals, 2 K + 1). Shares, (n_modes, 2 K + 1), go
+    from 0 to 1; a signal that no harmonic connects with a mode counts for nothing.
     """
     largest = np.max(sizes, axis=2, keepdims=True)
     signal = np.max(largest, axis=0, keepdims=True)

@@ -37,10 +37,6 @@ def harmonic_transfer(coefficients, omega, frequencies, n_harmonics, tolerance, 
     coefficients : callable
         k -> (F, G, P, Q), real Fourier coefficients up to harmonic k, each of shape
         (2 k + 1, rows, columns).
-    omega : float
-        Fundamental frequency, rad/s.
-    frequencies : array_like, shape (n_frequencies,)
-        Ω in rad/s.
     n_harmonics : int
         N, harmonics of the outputs.
     tolerance : float
@@ -93,23 +89,10 @@ def held_harmonic_transfer(Phi, Gamma, P, Q, frequencies, dt, n_harmonics):
 
         x[k+1] = Φ[k] x[k] + Γ[k] u[k],   y[k] = P[k] x[k] + Q[k] u[k],   u[k] = e^{jΩkΔt}
 
-    The steady state x[k] = X[k] e^{jΩkΔt}, X of period S, is found exactly.
-
-    Parameters
-    ----------
-    Phi, Gamma, P, Q : ndarray, shapes (S, n, n), (S, n, m), (S, l, n), (S, l, m)
-        Of the samples of one period that begins at ψ = 0.
-    frequencies : array_like, shape (n_frequencies,)
-        Ω in rad/s.
-    dt : float
-        Sample time in seconds.
-    n_harmonics : int
-        N, at most (S − 1) / 2.
-
-    Returns
-    -------
-    values : complex ndarray, shape (n_frequencies, 2 N + 1, l, m)
-        H_n(jΩ), n from −N to N.
+    The steady state x[k] = X[k] e^{jΩkΔt}, X of period S, is found exactly. Φ, Γ, P and
+    Q are those of the S samples of one period that begins at ψ = 0, (S, rows, columns).
+    ``n_harmonics`` is N, at most (S − 1) / 2. The result has shape
+    (n_frequencies, 2 N + 1, l, m), n from −N to N.
 
     Examples
     --------
@@ -144,22 +127,9 @@ def estimate_harmonic_transfer(
 
     U(Ω + sω) being the transform of u e^{−jsωt}. The coefficient of U(Ω) is H_n(jΩ).
 
-    Parameters
-    ----------
-    inputs, outputs : list of ndarray, shapes (n_samples, m) and (n_samples, l)
-        One pair a record.
-    times : list of ndarray, shape (n_samples,)
-        Seconds, evenly spaced; ψ = ωt.
-    omega : float
-        Fundamental frequency, rad/s.
-    n_harmonics : int
-        N.
-    n_segment : int
-        Samples of a segment.
-    window : str or tuple, default="hann"
-        As for :func:`scipy.signal.get_window`.
-    overlap : float, default=0.5
-        Share of a segment that the next one repeats.
+    ``inputs``, ``outputs`` and ``times`` have one array a record. Times are evenly
+    spaced, and ψ = ωt. A segment has ``n_segment`` samples, and the next one repeats
+    the share ``overlap`` of it. ``window`` is as for :func:`scipy.signal.get_window`.
 
     Returns
     -------

@@ -26,26 +26,11 @@ def integrate(f, x0, u, t, *, rtol=1e-12, atol=1e-13, first_step=None):
     Dormand and Prince's method of order 8 with error control, restarted at every
     sample: no step crosses a jump of u, and no interpolation enters the states.
 
-    Parameters
-    ----------
-    f : callable
-        f(x, u, t) -> dx/dt, with x of shape (n,), u of shape (m,), t in seconds.
-    x0 : array_like, shape (n,)
-        State at ``t[0]``.
-    u : array_like, shape (n_samples, m)
-        ``u[k]`` acts from ``t[k]`` to ``t[k + 1]``.
-    t : array_like, shape (n_samples,)
-        Increasing times in seconds.
-    rtol, atol : float
-        Relative and absolute error allowed for each step.
-    first_step : float, optional
-        Longest first step tried in an interval, in seconds; by default the whole
-        interval. The error control shortens it where needed.
-
-    Raises
-    ------
-    RuntimeError
-        If the error control cannot continue; the message says where.
+    ``f(x, u, t)`` takes x (n,), u (m,) and seconds. ``x0`` is the state at ``t[0]``,
+    and ``u[k]`` acts from ``t[k]`` to ``t[k + 1]``. ``rtol`` and ``atol`` are the
+    errors allowed for each step. ``first_step``, in seconds, is the longest first step
+    tried in an interval; by default it is the shortest interval. The error control
+    shortens it where needed. A RuntimeError says where it cannot continue.
 
     References
     ----------
@@ -94,27 +79,9 @@ def _advance(solver, end):
 def runge_kutta(f, x, u, t, width, n_steps):
     """States after some steps of fixed width, of many systems at once.
 
-    Runge's and Kutta's classical method of order 4, u held.
-
-    Parameters
-    ----------
-    f : callable
-        f(x, u, t) -> dx/dt, with x of shape (n, k), u of shape (m, k), t of shape (k,).
-    x : ndarray, shape (n, k)
-        States at t.
-    u : ndarray, shape (m, k)
-        Inputs.
-    t : float
-        Seconds.
-    width : float
-        Of one step, in seconds.
-    n_steps : int
-        Steps taken.
-
-    Returns
-    -------
-    x : ndarray, shape (n, k)
-        States at t + n_steps · width.
+    Runge's and Kutta's classical method of order 4, u held. ``f(x, u, t)`` takes x
+    (n, k), u (m, k) and t (k,). All systems start at the same ``t``, and the states are
+    those at t + n_steps · width.
 
     References
     ----------
@@ -144,32 +111,12 @@ def solve_shooting(f, period, x0, inputs, *, free=(), targets=()):
 
     It takes twenty steps at most, and goes on until rounding stops it, usually near 1e-13.
 
-    Parameters
-    ----------
-    f : callable
-        f(x, u, t) -> dx/dt, x of shape (n,), u of shape (m,), t in seconds.
-    period : float
-        T in seconds.
-    x0 : ndarray, shape (n,)
-        Guess of the state at t = 0.
-    inputs : ndarray, shape (m,)
-        Inputs; the guess of the free ones.
-    free : sequence of int
-        Inputs to be found.
-    targets : sequence of (int, float)
-        State and its mean, as many as there are free inputs.
-
-    Returns
-    -------
-    x0 : ndarray, shape (n,)
-    inputs : ndarray, shape (m,)
-    defect : float
-        Largest defect reached, relative to the largest size of each state.
-
-    Raises
-    ------
-    TrimError
-        If the defect does not fall to 1e-10, or an orbit diverges within a period.
+    ``f(x, u, t)`` takes x (n,), u (m,) and seconds. ``x0`` is a guess of the state at
+    t = 0. ``inputs`` holds all inputs, with a guess of the ``free`` ones. These are
+    found with as many ``targets``: pairs of a state and its mean. Returns
+    (x0, inputs, defect), where the defect is the largest one reached, relative to the
+    largest size of each state. It raises TrimError if the defect does not fall to
+    1e-10, or an orbit diverges within a period.
 
     Examples
     --------

@@ -26,12 +26,9 @@ N_BLADES = 3
 class Frame(NamedTuple):
     """Which signals turn with the blades.
 
-    Attributes
-    ----------
-    states, inputs, outputs : list of tuple of int
-        Positions of the same signal on blades 1, 2, 3.
-    rates : dict
-        Triplet of states -> triplet of their rates, where these are states too.
+    ``states``, ``inputs`` and ``outputs`` are lists of triplets: the positions of the
+    same signal on blades 1, 2, 3. ``rates`` leads from a triplet of states to that of
+    their rates, where these are states too.
     """
 
     states: list
@@ -43,11 +40,7 @@ class Frame(NamedTuple):
 def coleman_matrix(psi, derivative=0):
     """t(ψ) of three blades, or a derivative of it by ψ.
 
-    Parameters
-    ----------
-    psi : array_like, shape (n_points,)
-        Azimuth of blade 1 in radians.
-    derivative : int, default=0
+    ψ is the azimuth of blade 1. ``derivative`` is the order of the derivative.
 
     Examples
     --------
@@ -63,15 +56,8 @@ def coleman_matrix(psi, derivative=0):
 def to_multiblade(matrices, psi, omega, frame):
     """Matrices of a rotor in multi-blade coordinates.
 
-    Parameters
-    ----------
-    matrices : tuple of ndarray
-        A, B, C, D at each azimuth, shapes (n_points, rows, columns).
-    psi : array_like, shape (n_points,)
-        Azimuth of blade 1 in radians.
-    omega : float
-        Rotor speed in rad/s.
-    frame : Frame
+    ``matrices`` are A, B, C and D at each azimuth of blade 1,
+    (n_points, rows, columns).
     """
     A, B, C, D = matrices
     T, T_dot, T_u, T_y = _transformations(matrices, psi, omega, frame)
@@ -86,19 +72,9 @@ def to_multiblade(matrices, psi, omega, frame):
 def from_multiblade(coefficients, omega, frame):
     """Fourier coefficients of a rotor's matrices on its turning blades, exact.
 
-    Parameters
-    ----------
-    coefficients : tuple of ndarray
-        Of A, B, C, D in multi-blade coordinates: harmonics 0, 3c, 3s, 6c, … of the
-        azimuth, shapes (2 K + 1, rows, columns).
-    omega : float
-        Rotor speed in rad/s.
-    frame : Frame
-
-    Returns
-    -------
-    F, G, P, Q : ndarray, shapes (2 (3 K + 2) + 1, rows, columns)
-        In the order 0, 1c, 1s, ….
+    ``coefficients`` are those of A, B, C and D in multi-blade coordinates. They are the
+    harmonics 0, 3c, 3s, 6c, … of the azimuth, (2 K + 1, rows, columns). Returns those
+    of F, G, P and Q, (2 (3 K + 2) + 1, rows, columns), in the order 0, 1c, 1s, ….
     """
     K = len(coefficients[0]) // 2
     highest = N_BLADES * K + 2  # products of two entries of t

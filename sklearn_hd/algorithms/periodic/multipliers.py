@@ -88,12 +88,8 @@ def without_noise_growth(Phi, directions, lifted):
     """Φ as given where the lifted outputs tell that multipliers are beyond 1, else refined within.
 
     A mode that grows has to pay for what a state costs in the Bayesian information criterion: of
-    modes that a period forgets noise makes what it will, growth too.
-
-    Parameters
-    ----------
-    Phi, directions, lifted
-        As for :func:`refine_multipliers`.
+    modes that a period forgets noise makes what it will, growth too. Arguments are
+    those of :func:`refine_multipliers`.
     """
     free = refine_multipliers(Phi, directions, lifted)
     if np.max(np.abs(linalg.eigvals(free))) <= 1.0:
@@ -116,16 +112,8 @@ def multiplier_deviations(Phi, directions, lifted):
     e = z δs − δp moves a root by δz, δz² + (2 z − s) δz = e: by √e where the root is double, and
     by more towards the other root than away from it.
 
-    Parameters
-    ----------
-    Phi, directions, lifted
-        As for :func:`refine_multipliers`.
-
-    Returns
-    -------
-    multipliers : complex ndarray, shape (n,)
-    deviations : ndarray, shape (n,)
-        √(σ²_real + σ²_imag), infinite where no number is left free.
+    Arguments are those of :func:`refine_multipliers`. The deviations are
+    √(σ²_real + σ²_imag), infinite where no number is left free.
     """
     blocks, modes = invariant_blocks(Phi)[1], Modes(directions)
     edges = np.cumsum([len(block) for block in blocks])[:-1]
@@ -158,11 +146,8 @@ class Modes:
     """Answers of the modes of a map to inputs and initial states, by their polynomials.
 
     A mode of z² − s z + p answers to w[k] by x[k+1] = s x[k] − p x[k−1] + w[k]; x[k] and x[k−1]
-    are its coordinates.
-
-    Parameters
-    ----------
-    directions : list of ndarray, shapes (n_periods_s, r)
+    are its coordinates. ``directions`` are inputs, one array (n_periods_s, r) a
+    segment.
     """
 
     def __init__(self, directions):
@@ -208,15 +193,9 @@ class _Elimination:
 
     ∂x/∂s is a mode's answer to x itself, ∂x/∂p to −x[k−1].
 
-    Parameters
-    ----------
-    edges : ndarray of int
-        Where the coefficients c are divided between the modes.
-    modes : Modes
-    target : ndarray, shape (n_periods, q)
-        T.
-    largest : float
-        Size of a multiplier from which on no mode is simulated.
+    ``edges`` says where the coefficients c are divided between the modes, and
+    ``target`` is T, (n_periods, q). No mode is simulated whose multiplier has the size
+    ``largest`` or more.
     """
 
     def __init__(self, edges, modes, target, largest):
@@ -272,13 +251,9 @@ class _Elimination:
 def invariant_blocks(M):
     """Real coordinates in which M is block diagonal: complex pairs, real pairs, one single.
 
-    Real eigenvalues pair up with their neighbours; of an odd number the largest stays alone.
-
-    Returns
-    -------
-    basis : ndarray, shape (n, n)
-        M basis = basis diag(blocks); columns of a pair are orthonormal.
-    blocks : list of ndarray, shapes (2, 2) and (1, 1)
+    Real eigenvalues pair up with their neighbours; of an odd number the largest stays
+    alone. Returns (basis, blocks): M basis = basis diag(blocks). Blocks have shapes
+    (2, 2) and (1, 1). The columns of a pair are orthonormal.
     """
     values, V = linalg.eig(M)
     real = np.flatnonzero(values.imag == 0.0)
@@ -313,15 +288,8 @@ def with_characteristic(block, coefficients):
     one that changes, N = [0 b; c 0] in coordinates of equal diagonal keeps the larger of
     b and c: near the double eigenvalue in between, the other one is all that matters.
 
-    Parameters
-    ----------
-    block : ndarray, shape (1, 1) or (2, 2)
-    coefficients : ndarray, shape (1,) or (2,)
-        Eigenvalue; or trace s and determinant p.
-
-    Returns
-    -------
-    block : ndarray, of the same shape
+    The coefficients of a block (1, 1) are its eigenvalue, those of a block (2, 2) are
+    trace s and determinant p.
     """
     if len(block) == 1:
         return np.reshape(coefficients, (1, 1))
@@ -359,13 +327,8 @@ def orthonormal_range(columns, beyond=None, rank=DEPENDENT):
     new where edges have directions of their own. An orthonormal column in its place would
     be any direction, would fit noise, and would jump as multipliers move.
 
-    Parameters
-    ----------
-    columns : ndarray, shape (n_rows, n_columns)
-    beyond : ndarray, shape (n_rows, n_known), optional
-        Orthonormal; what they span is left out.
-    rank : float, default=1.5e-11
-        Of columns of length one, what is new in one that counts as independent.
+    ``beyond`` has orthonormal columns; what they span is left out. ``rank`` is how much
+    has to be new in a column of length one that counts as independent.
 
     Examples
     --------
@@ -400,16 +363,8 @@ def order_by_residual(candidates, directions, lifted):
     noise. Systematic errors (a nonlinear system's) call for ever more states: then the last order
     that brought down the sum of squares left by half a decade.
 
-    Parameters
-    ----------
-    candidates : list of ndarray, shapes (n, n), n = 1, 2, …
-    directions, lifted : list of ndarray
-        As for :func:`refine_multipliers`.
-
-    Returns
-    -------
-    Phi : ndarray, shape (n, n)
-        The candidate chosen.
+    ``candidates`` have the orders 1, 2, …; ``directions`` and ``lifted`` are those of
+    :func:`refine_multipliers`. The candidate chosen is returned as given, not refined.
     """
     n_columns, r = lifted[0].shape[1], directions[0].shape[1]
     target = compact(np.vstack(lifted))
@@ -448,13 +403,8 @@ def turned_back(Phi):
     """A map Φ that a periodic system may have: negative real multipliers are even in number.
 
     det Φ = e^{∫ tr F dt} > 0 (Liouville). Noise turns the sign of what a period forgets: of an odd
-    number the smallest is turned back.
-
-    Returns
-    -------
-    Phi : ndarray, shape (n, n)
-    turned : float
-        The negative multiplier, 0 if none was turned.
+    number the smallest is turned back. Returns (Phi, turned): the map, and the negative
+    multiplier that was turned, 0 if none was.
 
     Examples
     --------
@@ -527,15 +477,9 @@ def is_noise(rest, n_rows, n_columns):
     """Whether the strongest direction of what is left may be white noise's (Johnstone, 2001).
 
     Its variance in parts of the noise's, less its expectation, in parts of its spread has
-    Tracy and Widom's distribution.
-
-    Parameters
-    ----------
-    rest : ndarray, shape (n_periods, n_columns or fewer)
-        Of the same scalar products as what is left.
-    n_rows : int
-        Periods less the directions taken out.
-    n_columns : int
+    Tracy and Widom's distribution. ``rest`` is what is left, or fewer columns with the
+    same scalar products. ``n_rows`` counts the periods less the directions taken out,
+    and ``n_columns`` the columns of what is left.
     """
     variance = float(np.sum(rest**2)) / (n_rows * n_columns)
     a, b = np.sqrt(n_rows - 1.0), np.sqrt(n_columns)

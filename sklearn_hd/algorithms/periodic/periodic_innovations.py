@@ -81,10 +81,7 @@ class PeriodicInnovations:
     def about(self, input_mean, output_mean):
         """The model of signals about whose periodic means this one is.
 
-        Parameters
-        ----------
-        input_mean, output_mean : ndarray, shapes (2 L + 1, m), (2 L + 1, l)
-            Fourier coefficients.
+        Means are Fourier coefficients, (2 L + 1, m) and (2 L + 1, l).
         """
         n, L = self.n_states, len(input_mean) // 2
         H = len(self.coefficients) // 2 + L
@@ -116,14 +113,9 @@ class PeriodicInnovations:
         """The model with a whole number of samples in a turn, without innovations.
 
         Where δ is no whole part of a turn, each step is made longer by the power
-        ε = 2π/(δ q) − 1 of the transition about its own end, q the whole samples in a turn.
-
-        Returns
-        -------
-        psi : ndarray, shape (q,)
-        states : ndarray, shape (q, n, n + m + 1)
-            [A B a] of steps of 2π/q.
-        outputs : ndarray, shape (q, l, n + m + 1)
+        ε = 2π/(δ q) − 1 of the transition about its own end, q the whole samples in a
+        turn. Returns (psi, states, outputs): the q azimuths; [A B a] of steps of 2π/q,
+        (q, n, n + m + 1); and [C D c], (q, l, n + m + 1).
         """
         q = max(1, int(np.floor(self.samples_per_period * (1.0 + PRECISION))))
         longer = self.samples_per_period / q - 1.0
@@ -149,13 +141,8 @@ class PeriodicInnovations:
             ∂ ln μ / ∂A_k = l[k+1] r[k]ᵀ / (μ l[0]ᵀ r[0])
 
         r and l being right and left eigenvectors of the transition over a turn that begins at
-        ψ_k. A step made longer counts as one of its new length.
-
-        Returns
-        -------
-        logarithms : complex ndarray, shape (k,)
-        psi : ndarray, shape (q,)
-        slopes : complex ndarray, shape (k, q, n, n)
+        ψ_k. A step made longer counts as one of its new length. Returns
+        (logarithms, psi, slopes) of shapes (k,), (q,) and (k, q, n, n).
         """
         psi, states, _ = self.whole_turn()
         n, q = self.n_states, len(psi)
@@ -196,11 +183,7 @@ class PeriodicInnovations:
         Where a machine has more states than the model, a regression on innovations e leaves
         some of the next states, r, and of the outputs, v. With w = K(ψ) e + r the periodic
         Riccati equation is stepped from sample to sample until its start is forgotten.
-
-        Parameters
-        ----------
-        noise : ndarray, shape (l + n + l, l + n + l)
-            Covariance of e, r and v.
+        ``noise`` is the covariance of e, r and v, in this order.
         """
         n, n_outputs, H = self.n_states, self.n_outputs, len(self.gain) // 2
         H = min(H, (self.gain.any(axis=(1, 2)).nonzero()[0][-1] + 1) // 2) if self.gain.any() else 0
@@ -275,12 +258,7 @@ class PeriodicInnovations:
     def forced_state(self, inputs, psi):
         """State at an azimuth of the periodic motion that periodic inputs force.
 
-        Parameters
-        ----------
-        inputs : ndarray, shape (2 L + 1, m)
-            Fourier coefficients.
-        psi : float
-            rad.
+        ``inputs`` are Fourier coefficients, (2 L + 1, m).
         """
         return evaluate_harmonics(self.forced_orbit(inputs), np.array([psi]))[0]
 
@@ -386,12 +364,8 @@ class Rows:
     def ahead(self, inputs, outputs, x0, horizon):
         """Outputs predicted some rows ahead; those of the first rows from the initial state.
 
-        Parameters
-        ----------
-        inputs, outputs : ndarray, shapes (n_samples, m), (n_samples, l)
-        x0 : ndarray, shape (n,)
-        horizon : int
-            Rows from the last output known to the one predicted, at least 1.
+        ``horizon`` counts rows from the last output known to the one predicted; it is
+        at least 1.
         """
         n, u = self.n_states, _with_one(inputs)
         stable, forcing = self._predictor(u, outputs)
@@ -494,7 +468,6 @@ def input_slopes(rows, inputs, functions, start):
     ----------
     rows : Rows
         The model at consecutive samples; its gain is left out.
-    inputs : ndarray, shape (n_samples, m)
     functions : ndarray, shape (n_samples, 2 H + 1)
         1, cos ψ, sin ψ, ….
     start : ndarray, shape (n, c), or None
@@ -532,14 +505,8 @@ def propagate_varying(A, forcing, start):
     """States of x[k+1] = A[k] x[k] + v[k], several columns at once.
 
     In pieces of about √N samples, all pieces at once, joined by their transition matrices; many
-    columns sample after sample.
-
-    Parameters
-    ----------
-    A : ndarray, shape (n_samples, n, n)
-    forcing : ndarray, shape (n_samples, n, r), or None
-        v; the last row is not used.
-    start : ndarray, shape (n, r)
+    columns sample after sample. ``forcing`` is v, (n_samples, n, r), or None for zero;
+    its last row is not used. ``start`` is x[0], (n, r).
 
     Examples
     --------
@@ -587,16 +554,9 @@ def propagate_varying(A, forcing, start):
 def coordinates_without_modes(model, n_harmonics):
     """Coordinates of the other states, without each mode or complex pair of modes.
 
-    Parameters
-    ----------
-    model : PeriodicInnovations
-    n_harmonics : int
-        Below half of the samples in a turn; what is beyond is left out.
-
-    Yields
-    ------
-    coefficients : ndarray, shape (2 n_harmonics + 1, n, k)
-        Of V(ψ), in the order 0, 1c, 1s, …; k states are left.
+    Yields the Fourier coefficients of V(ψ), (2 n_harmonics + 1, n, k), in the order 0,
+    1c, 1s, …; k states are left. ``n_harmonics`` is below half of the samples in a
+    turn; what is beyond is left out.
     """
     for V, _ in _split(model):
         yield sampled_harmonics(V, n_harmonics)
@@ -608,11 +568,8 @@ def without_modes(model, n_harmonics):
         z = L(ψ) x,   L V = I, and L is zero on the mode left out
         A ← L(ψ + δ) A V,   B, a, K ← L(ψ + δ) B, a, K,   C ← C V
 
-    Parameters
-    ----------
-    model : PeriodicInnovations
-    n_harmonics : int
-        Kept of A, B, C, D and K.
+    A, B, C, D and K keep ``n_harmonics``. A mode that is lost in rounding is passed
+    over.
     """
     n, highest = model.n_states, max(n_harmonics, len(model.coefficients) // 2)
     for V, others in _split(model):

@@ -142,14 +142,7 @@ def forced_mean(segments, n_harmonics):
 def spread_rows(lengths, most, n_places=8):
     """Rows (segment, slice) to look at: all, or pieces that lie evenly over a long record.
 
-    A long record may begin at rest.
-
-    Parameters
-    ----------
-    lengths : list of int
-    most : int
-        Rows in all.
-    n_places : int
+    A long record may begin at rest. All pieces together have at most ``most`` rows.
     """
     ends = np.cumsum(lengths)
     if ends[-1] <= most:

@@ -52,7 +52,6 @@ class PeriodicStructure(Sizes):
         are one entry of one coefficient.
     n_states : int
         n, which says where [F G; P Q] is divided.
-    parameter_names : tuple of str, length k
 
     Examples
     --------
@@ -221,15 +220,10 @@ def radius_of(monodromy):
 
 
 def evaluated_response(structure, theta, n_points, *, sensitivities):
-    """The same of a structure of the steps themselves, [A B; C D](ψ), at some azimuths of a turn.
+    """SampledResponse of a structure of the steps themselves, at azimuths of a turn.
 
-    Parameters
-    ----------
-    structure : PeriodicStructure
-        Of x[k+1] = A(ψ_k) x[k] + B(ψ_k) u[k], y[k] = C(ψ_k) x[k] + D(ψ_k) u[k].
-    theta : array_like, shape (k,)
-    n_points : int
-    sensitivities : bool
+    The structure is [A B; C D](ψ) of x[k+1] = A(ψ_k) x[k] + B(ψ_k) u[k] and
+    y[k] = C(ψ_k) x[k] + D(ψ_k) u[k].
     """
     n, (_, rows, _) = structure.n_states, structure.constant.shape
     coefficients, parts = structure.coefficients(theta), []
@@ -250,26 +244,12 @@ def sampled_response(
 
     Sample j lies at ψ_j = 2πj / n_phases; inputs are held over the interval that follows.
 
-    Parameters
-    ----------
-    structure : PeriodicStructure
-    theta : array_like, shape (k,)
-    omega : float
-        Fundamental frequency, rad/s.
-    n_phases : int
-        Samples a period.
-    observe : ndarray, shape (n_phases, l', l) or (1, l', l), optional
-        What is measured of the model's outputs at each phase: for a model of harmonic
-        coefficients, the functions 1, cos ψ, sin ψ, … that put y together (Eq. 7).
-    sensitivities : bool, default=True
-    n_points : int, optional
-        Azimuths at which intervals begin, 2πj / n_points; n_phases by default, which else may
-        be any number: it is the length of the intervals.
-
-    Raises
-    ------
-    ValueError
-        If F moves the states by hundreds of time constants within one sample.
+    ``observe``, (n_phases, l', l) or (1, l', l), is what is measured of the model's
+    outputs at each phase: for a model of harmonic coefficients, the functions 1, cos ψ,
+    sin ψ, … that put y together (Eq. 7). ``n_points`` is the number of azimuths at
+    which intervals begin, 2πj / n_points, by default ``n_phases``. With it,
+    ``n_phases`` may be any number: it is the length of the intervals. It raises
+    ValueError if F moves the states by hundreds of time constants within one sample.
 
     References
     ----------
@@ -296,19 +276,10 @@ def sampled_response(
 def held_pushes(structure, theta, omega, n_phases, n_harmonics):
     """Where a push cos kψ or sin kψ of one state over one interval leaves all states.
 
-    What one unit of a coefficient of G adds to Γ_j, whatever the number of inputs.
-
-    Parameters
-    ----------
-    structure, theta, omega, n_phases
-        As for :func:`sampled_response`.
-    n_harmonics : int
-        Of the pushes.
-
-    Returns
-    -------
-    pushes : ndarray, shape (2 n_harmonics + 1, n_phases, n, n)
-        In the order 0, 1c, 1s, …; the last axis is the state pushed.
+    What one unit of a coefficient of G adds to Γ_j, whatever the number of inputs. The
+    other arguments are those of :func:`sampled_response`. The pushes have harmonics up
+    to ``n_harmonics``, and the shape (2 n_harmonics + 1, n_phases, n, n), in the order
+    0, 1c, 1s, …; the last axis is the state pushed.
     """
     n = structure.n_states
     S = n_substeps(structure, theta, omega, n_phases, n_harmonics)

@@ -56,11 +56,8 @@ MOST_PARTS = 4096  # of an interval, when a Hamiltonian is stiff
 def riccati_triples(A, B, Q, R, S=None):
     """Triples (A, G, H) of the steps of a sampled regulator.
 
-    Parameters
-    ----------
-    A, B : ndarray, shapes (p, n, n) and (p, n, m)
-    Q, R, S : ndarray, shapes (p, n, n), (p, m, m) and (p, n, m)
-        R positive definite; S is zero by default.
+    Matrices have shapes (p, rows, columns). R is positive definite; S, (p, n, m), is
+    zero by default.
 
     Examples
     --------
@@ -78,18 +75,10 @@ def riccati_triples(A, B, Q, R, S=None):
 def hamiltonian_triples(F, E, Q, psi, omega, *, tolerance=1e-14):
     """Triples (A, G, H) of intervals of −Ẋ = Fᵀ X + X F − X E X + Q.
 
-    Parameters
-    ----------
-    F : callable
-        ψ of shape (n_points,) -> (n_points, n, n), in 1/s.
-    E, Q : callable or None
-        The same, symmetric; None is zero.
-    psi : ndarray, shape (p + 1,)
-        Ends of the intervals in radians, increasing.
-    omega : float
-        rad/s.
-    tolerance : float, default=1e-14
-        As for :func:`~sklearn_hd.algorithms.periodic.floquet.transition_matrices`.
+    F, E and Q take ψ of shape (n_points,) and give (n_points, n, n), F in 1/s. E and Q
+    are symmetric; None is zero. ``psi`` holds the p + 1 ends of the intervals,
+    increasing. ``tolerance`` is that of
+    :func:`~sklearn_hd.algorithms.periodic.floquet.transition_matrices`.
 
     Examples
     --------
@@ -176,16 +165,10 @@ def _joined(A, G, H):
 def solve_periodic_riccati(A, G, H):
     """Stabilising periodic solution X of (1).
 
-    Parameters
-    ----------
-    A, G, H : ndarray, shapes (p, n, n)
-        Triples of the steps of one period; G and H symmetric, positive semidefinite.
-
-    Returns
-    -------
-    X : ndarray, shape (p, n, n)
-        Cost to go from each step. Where no solution stabilises, what is returned leaves a
-        multiplier of the loop that it closes on the unit circle or beyond.
+    A, G and H are triples of the steps of one period, (p, n, n); G and H are symmetric,
+    positive semidefinite. X, (p, n, n), is the cost to go from each step. Where no
+    solution stabilises, what is returned leaves a multiplier of the loop that it closes
+    on the unit circle or beyond.
 
     Examples
     --------
@@ -211,10 +194,7 @@ def solve_periodic_riccati(A, G, H):
 def solve_periodic_lyapunov(A, H):
     """Periodic solution of X_k = H_k + A_kᵀ X_{k+1} A_k, all multipliers within the unit circle.
 
-    Returns
-    -------
-    X : ndarray, shape (p, n, n)
-        Infinite or NaN where a multiplier is not within.
+    X is infinite or NaN where a multiplier is not within.
 
     Examples
     --------
@@ -316,16 +296,9 @@ def unreachable_multipliers(A, G):
 
         wᴴ Φ = μ wᴴ,   Σ_k w_kᴴ G_k w_k = 0      (Popov, Belevitch, Hautus)
 
-    Parameters
-    ----------
-    A, G : ndarray, shapes (p, n, n)
-        Steps, and what reaches the states in them (B Bᵀ, in any weights). The transposed steps
-        in the reverse order, with CᵀC, tell what no output sees.
-
-    Returns
-    -------
-    multipliers : complex ndarray
-        None if everything can be stabilised.
+    A holds the steps, and G holds what reaches the states in them
+    (B Bᵀ, in any weights). The transposed steps in the reverse order, with CᵀC, tell
+    what no output sees. The array is empty if everything can be stabilised.
 
     Examples
     --------

@@ -56,14 +56,9 @@ FAR_ASTRAY = 0.05  # turns over a part: turbulence alone shifts the phase by up 
 class Speed(NamedTuple):
     """Another speed than the one given.
 
-    Attributes
-    ----------
-    omega, std : float
-        rad/s.
-    turns : float
-        By which the azimuth would have gone astray over the record.
-    moved : float
-        What that is of the outputs about their waveforms, in parts of their energy.
+    ``omega`` and its deviation ``std`` are in rad/s. ``turns`` is by how much the
+    azimuth would have gone astray over the record. ``moved`` is what that is of the
+    outputs about their waveforms, in parts of their energy.
     """
 
     omega: float
@@ -75,19 +70,8 @@ class Speed(NamedTuple):
 def measured_speed(segments, omega, n_harmonics):
     """The speed at which a record repeats itself, if surely another than some.
 
-    Parameters
-    ----------
-    segments : list of (inputs, outputs, time)
-        Evenly sampled, shapes (n_s, m), (n_s, l), (n_s,).
-    omega : float
-        rad/s.
-    n_harmonics : int
-        Of the waveform.
-
-    Returns
-    -------
-    speed : Speed or None
-        None where the record tells no other speed.
+    Segments are (inputs, outputs, time), evenly sampled, and the harmonics are those of
+    the waveform. Returns None where the record tells no other speed.
     """
     sought = _sought(segments, omega, n_harmonics)
     if sought is None:
@@ -109,14 +93,10 @@ def measured_speed(segments, omega, n_harmonics):
 def orbit_speed(segments, omega, n_harmonics, *, span=0.0):
     """The speed near some at which the orbit of a record repeats itself.
 
-    Parameters are those of :func:`measured_speed`; it may lie a ``span``, a share of omega, to
-    either side.
-
-    Returns
-    -------
-    omega, std : (float, float) or None
-        rad/s. None where the record shows no orbit. If half of the record contradicts the orbit's
-        speed: the speed as given, and the distance between both as its deviation.
+    Parameters are those of :func:`measured_speed`. The speed may lie a ``span``,
+    a share of omega, to either side. Returns ω and its standard deviation, or None
+    where the record shows no orbit. If half of the record contradicts the orbit's
+    speed, these are the speed as given and the distance between both.
     """
     sought = _sought(segments, omega, n_harmonics, span)
     if sought is None or not np.isfinite(sought[2].std):
@@ -132,21 +112,11 @@ def orbit_speed(segments, omega, n_harmonics, *, span=0.0):
 def speeds_apart(parts, omega, n_harmonics, whole=None):
     """The speed of each part of some records by its own orbit, if surely they are not one speed.
 
-    Parameters
-    ----------
-    parts : list of list of (inputs, outputs, time)
-        The segments of each part, as in :func:`measured_speed`.
-    omega, n_harmonics
-        As in :func:`measured_speed`.
-    whole : (float, float), optional
-        ω of all records and its standard deviation, from which parts may be apart; by default the
-        best known of their own.
-
-    Returns
-    -------
-    speeds : list of ((float, float) or None), or None
-        ω and its standard deviation, rad/s, each; None where a part shows no orbit, or is too
-        short for its halves to tell. No list if they may be one speed.
+    Each part is a list of segments as in :func:`measured_speed`. ``whole`` is ω of all
+    records and its standard deviation, from which parts may be apart; by default it is
+    the best known of their own. Returns ω and its standard deviation for each part,
+    with None for a part that shows no orbit, or is too short for its halves to tell.
+    Returns None if they may be one speed.
     """
     least = 2.0 * np.pi * PART_TURNS / omega
     speeds = [
@@ -169,12 +139,8 @@ def orbit_drift(segments, omega, n_harmonics):
 
     Twice the difference between the halves of the record, each beside its own waveform: a predictor
     would imitate an orbit that drifts. Parameters are those of :func:`measured_speed`.
-
-    Returns
-    -------
-    drift, std : (float, float) or None
-        rad/s, the deviation as if what is beside the waveforms were white. None where a half shows
-        no orbit.
+    Returns the drift and its standard deviation, in rad/s, or None where a half shows
+    no orbit. The deviation is as if what is beside the waveforms were white.
     """
     speeds, variance = [], 0.0
     for half in _halves(_alike(_some_rows(segments))):
@@ -392,14 +358,8 @@ def _waveform_slopes(segments, omega, n_harmonics):
 class _Predicted(NamedTuple):
     """What a predictor leaves at some speed, and where its errors lead.
 
-    Attributes
-    ----------
-    omega : float
-        rad/s.
-    drift, t : float
-        δ, and the same in standard errors.
-    left : float
-        Logarithm of the determinant of the covariance that predictions leave.
+    ``drift`` is δ, and ``t`` the same in standard errors. ``left`` is the logarithm of
+    the determinant of the covariance that predictions leave.
     """
 
     omega: float
