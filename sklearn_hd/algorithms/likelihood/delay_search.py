@@ -93,21 +93,9 @@ def scanned(samples, free, most, cost):
     Where an input acts by a cosine of the azimuth, it does so in two phases alike, and there are
     two of them, or one between them that is shallow: its ends, too, are to be tried.
 
-    Parameters
-    ----------
-    samples : ndarray, shape (k,)
-        Delays to start from.
-    free : ndarray of int
-        Places of those that are looked for.
-    most : int
-        Largest one tried.
-    cost : callable
-        ``cost(samples)`` of all delays.
-
-    Returns
-    -------
-    minima : list of ndarray, shape (k,)
-        The least first, a few at most.
+    ``samples`` (k,) are the delays to start from. ``free`` has the places of those that
+    are looked for, and ``most`` is the largest one tried. ``cost(samples)`` takes all
+    delays. It returns five arrays of all delays at most, that of least cost first.
 
     Examples
     --------
@@ -156,13 +144,8 @@ def through_cells(cells, fit):
 
     It comes with its cells.
 
-    Parameters
-    ----------
-    cells : Cells
-        To start in.
-    fit : callable
-        ``fit(cells, before)`` searches within some cells, from where the best fit before ended
-        (None at first), and gives that fit, cells at its values, and its cost a value.
+    ``fit(cells, before)`` searches within some cells, from where the best fit before
+    ended (None at first). It gives that fit, cells at its values, and its cost a value.
     """
     seen, ahead, best = set(), [cells], (None, cells, np.inf)
     while ahead and len(seen) < 60:  # cells: a search goes through no more
@@ -179,17 +162,11 @@ def through_cells(cells, fit):
 def most_likely(cells, most, cost, alike, search):
     """The most likely fit, from all minima of a scan, and its cells.
 
-    Parameters
-    ----------
-    cells : Cells
-        To start in, if no delay is a parameter.
-    most : int
-        Samples up to which delays are scanned.
-    cost : callable
-        ``cost(cells)`` of a model of which little is fitted.
-    alike, search : callable
-        As for :func:`through_cells`; the first with outputs weighed alike (one that is met before
-        the others would hold the delays where they are) and from the start, the second from there.
+    The search starts in ``cells`` if no delay is a parameter. Else delays are scanned
+    up to ``most`` samples by ``cost(cells)``, that of a model of which little is
+    fitted. ``alike`` and ``search`` are as ``fit`` of :func:`through_cells`. The first
+    begins at the start and weighs outputs alike: one that is met before the others
+    would hold the delays where they are. The second goes on from there.
     """
     free, starts = cells.fractions.free, [cells]
     if len(free):
@@ -206,21 +183,12 @@ def most_likely(cells, most, cost, alike, search):
 def first_answers(segments, most, n_own, n_harmonics=0):
     """Samples after which each output first answers to each input.
 
-    Parameters
-    ----------
-    segments : list of (inputs, outputs, psi)
-        Shapes (n_samples, m), (n_samples, l), (n_samples,).
-    most : int
-        Largest delay tried.
-    n_own : int
-        p, lags of the output's own past; fewer in a short record.
-    n_harmonics : int, default=0
-        Of the coefficients over ψ.
-
-    Returns
-    -------
-    lags : ndarray, shape (l, m)
-        NaN where an output answers to none of the lags tried.
+    ``segments`` have inputs (n_samples, m), outputs (n_samples, l) and psi
+    (n_samples,). Inputs take part up to LAGS_BEHIND lags beyond ``most``, the largest
+    delay looked for. ``n_own`` is p, lags of the output's own past; a short record has
+    fewer. Coefficients have ``n_harmonics`` harmonics over ψ. The result (l, m) is NaN
+    where an output answers to none of the lags tried, or the record is too short to
+    tell.
 
     Examples
     --------

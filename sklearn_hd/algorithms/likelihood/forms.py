@@ -91,20 +91,11 @@ def delayed_response(
 ):
     """Transition and output matrices of samples between which inputs switch and outputs are read.
 
-    Parameters
-    ----------
-    structure : PeriodicStructure
-    theta : array_like, shape (k,)
-    fractions : Fractions
-        Of its m inputs, and of the l' outputs measured.
-    omega, n_phases, observe, n_points
-        As for :func:`sklearn_hd.algorithms.periodic.periodic_structure.sampled_response`.
-    sensitivities : bool, default=True
-
-    Returns
-    -------
-    response : SampledResponse
-        Of the inputs [new; old], 2 m of them, with derivatives by θ, then by the free fractions.
+    ``fractions`` are those of the m inputs, and of the l' outputs measured. Other
+    arguments are as for
+    :func:`sklearn_hd.algorithms.periodic.periodic_structure.sampled_response`. The
+    SampledResponse has the inputs [new; old], 2 m of them, and derivatives by θ, then
+    by the free fractions.
 
     Examples
     --------
@@ -326,15 +317,9 @@ class Form:
         of the records. Inputs that switch at few azimuths tell some sums of harmonics alone, and a
         likelihood by itself follows noise in the others without end.
 
-        Parameters
-        ----------
-        squares : ndarray, shape (k,)
-            Of what each parameter makes of the records, summed.
-
-        Returns
-        -------
-        stiffness : ndarray, shape (k,)
-            Zero but for harmonics of single entries of G, of inputs that do something.
+        ``squares`` (k,) are sums of what each parameter makes of the records. The
+        stiffness (k,) is zero but for harmonics of single entries of G, of inputs that
+        do something.
 
         References
         ----------

@@ -57,14 +57,10 @@ def most_likely(
 
     Parameters
     ----------
-    innovations : PeriodicInnovations
-        To start from.
     segments : list of (inputs, outputs, psi)
     layout : Layout
         Harmonics of the inputs' effect and of the loads, and whether D is free. Of inputs beyond
         those that it counts, the effect is a constant one.
-    sensor_noise : float
-        σ.
     most_growth : float
         Of a simulation, e-folds a sample: no step leads beyond it, nor to multipliers that no
         periodic system has.
@@ -133,12 +129,8 @@ class NextStep:
 def next_step(innovations, segments, layout, sensor_noise, n_inputs):
     """Another whole step beside inputs further than so many, not taken.
 
-    Other arguments as for :func:`most_likely`.
-
-    Returns
-    -------
-    step : NextStep or None
-        None where the predictor forgets nothing.
+    Other arguments are as for :func:`most_likely`. It is None where the predictor
+    forgets nothing.
     """
     innovations = _with_loads(innovations, layout)
     form = _Form.of(innovations, layout)
@@ -239,18 +231,8 @@ class _Form:
     def system(self, at, told):
         """Normal equations of a step, initial states eliminated.
 
-        Second derivatives come from the rows told. They are scaled to all rows by the squares of
-        the regressors.
-
-        Parameters
-        ----------
-        at : _Fitted
-        told : list of slice
-            Rows of each segment.
-
-        Returns
-        -------
-        system : _System
+        Second derivatives come from the rows told, a slice of each segment. They are
+        scaled to all rows by the squares of the regressors.
         """
         slope, size, whole, k = 0.0, 0.0, 0.0, len(self.places)
         gram = np.zeros((k, k), order="F")

@@ -65,10 +65,8 @@ class ExponentBound:
     def std(self, segments):
         """Smallest standard deviations of exponents that segments (inputs, outputs, where) allow.
 
-        Returns
-        -------
-        std : complex ndarray, shape (n,)
-            Of the real part + j times that of the imaginary part; infinite where not determined.
+        They are complex (n,): the deviation of the real part + j times that of the
+        imaginary part. They are infinite where not determined.
         """
         return self.std_of(self.information(segments))
 
@@ -87,17 +85,10 @@ class ExponentBound:
     def doubts(self, found, pulses):
         """What is not known of the motion that pulses make, in parts of it.
 
-        Parameters
-        ----------
-        found : FisherInformation
-            Of θ.
-        pulses : list of ndarray, shapes (n_samples, m)
-
-        Returns
-        -------
-        doubts : ndarray, shape (n_pulses,)
-            Root mean square of its deviation, outputs in parts of their noise. Beyond 1 nothing
-            is known; NaN where a pulse moves nothing.
+        It is the root mean square of the motion's deviation, outputs in parts of their
+        noise, for each of the pulses (n_samples, m). ``found`` is the information on θ.
+        Nothing is known of a motion with a doubt beyond 1. The doubt is NaN where a
+        pulse moves nothing.
         """
         size = np.sqrt(np.diag(found.information))
         size = np.where(size > 0.0, size, 1.0)
@@ -120,22 +111,9 @@ class ExponentBound:
 def exchange(family, cost, n_trials, rng):
     """The best member of a family that changes of one part at a time lead to.
 
-    Parameters
-    ----------
-    family : Steps or Multisines
-    cost : callable
-        ``cost(inputs)``, inputs as the family makes them.
-    n_trials : int
-        Changes tried.
-    rng : numpy.random.RandomState
-
-    Returns
-    -------
-    best : object
-        Member of the family.
-    lowest : float
-        Its cost; infinite where no member tells anything.
-    n_evaluations : int
+    ``cost(inputs)`` takes inputs as the family, Steps or Multisines, makes them. It
+    returns the best member, its cost, and the number of evaluations. The cost is
+    infinite where no member tells anything.
 
     Examples
     --------

@@ -161,16 +161,9 @@ def by_turn(values, n_phases, begin=0):
 class Problem:
     """Form, records and what is known of the noise.
 
-    Attributes
-    ----------
-    form : Form
-    records : list of Record
-    sigma : ndarray, shape (l,), or None
-        Standard deviations of the noise, where they are known.
-    correlated : bool
-        Whether what is left of outputs may go together.
-    known : ndarray, shape (q, k), or None
-        Rows of which the products with θ are white noise of variance one, known beforehand.
+    ``sigma`` (l,) are the standard deviations of the noise, where they are known.
+    ``correlated`` says whether what is left of outputs may go together. Products of the
+    rows of ``known`` (q, k) with θ are white noise of variance one, known beforehand.
     """
 
     form: Form
@@ -272,11 +265,8 @@ class Problem:
     def whitened(self, point, spread, only=None):
         """[∂ŷ/∂x0, ∂ŷ/∂θ, ŷ − y] times S^{-1/2}, piece by piece; of some parameters where told.
 
-        Yields
-        ------
-        segment, start : int
-            And the first sample of the piece.
-        block : ndarray, shape (n_columns + 1, n_samples, l)
+        Each piece comes as its segment, its first sample, and a block of shape
+        (n_columns + 1, n_samples, l).
         """
         response = self.form.response(point.theta, sensitivities=only is None or len(only) > 0)
         if only is not None:
@@ -369,12 +359,8 @@ def updated_factor(factor, columns):
 def eliminate_states(factors, n0):
     """The LinearSystem of whitened factors, the projection on the initial states taken out.
 
-    Parameters
-    ----------
-    factors : list of ndarray, shape (c, c)
-        Of each segment.
-    n0 : int
-        Columns of x0: n, or 0.
+    Each segment has a factor (c, c), whose first ``n0`` columns are those of x0: n, or
+    0.
     """
     width = factors[0].shape[1] - n0
     R, squares, states, promised = np.zeros((0, width)), np.zeros(width - 1), [], 0.0

@@ -35,17 +35,9 @@ class InnovationFilter:
 
     s[k+1] = (Φ_k − K_k C_k) s[k] + K_k r[k],   ν[k] = r[k] − C_k s[k]
 
-    Attributes
-    ----------
-    closed : ndarray, shape (n_samples, n, n)
-        Φ_k − K_k C_k.
-    output : ndarray, shape (n_samples, l, n)
-        C_k.
-    gain : ndarray, shape (n_samples, n, l)
-    covariance, root : ndarray, shapes (n_samples, l, l)
-        Covariance of the innovations, and the inverse of its Cholesky factor.
-    input_matrix, feedthrough : ndarray, shapes (n_samples, n, m), (n_samples, l, m)
-    input_sigma : ndarray, shape (m,)
+    ``closed`` holds Φ_k − K_k C_k and ``output`` C_k. These and the others hold one
+    matrix a sample, but for ``input_sigma`` (m,). ``covariance`` is that of the
+    innovations, and ``root`` the inverse of its Cholesky factor.
     """
 
     closed: np.ndarray
@@ -60,12 +52,8 @@ class InnovationFilter:
     def whiten(self, signals, state=None, start=0):
         """Independent innovations of unit variance, and the state to go on from.
 
-        Parameters
-        ----------
-        signals : ndarray, shape (..., n_some, l)
-            From sample ``start``.
-        state : ndarray, shape (..., n), optional
-            What an earlier piece ended with.
+        ``signals`` (..., n_some, l) begin at sample ``start``. ``state`` (..., n) is
+        what an earlier piece ended with.
         """
         *batch, length, _ = signals.shape
         n = self.closed.shape[1]
@@ -92,14 +80,7 @@ class InnovationFilter:
 def innovation_filter(response, record, sigma, input_sigma):
     """Kalman filter of the residuals that noise in inputs and outputs leaves.
 
-    Parameters
-    ----------
-    response : SampledResponse
-    record : Record
-    sigma : ndarray, shape (l,)
-        Standard deviations of the outputs' noise.
-    input_sigma : ndarray, shape (m,)
-        Those of the inputs' noise.
+    ``sigma`` (l,) and ``input_sigma`` (m,) are the standard deviations of that noise.
     """
     n, n_samples = response.n_states, len(record.inputs)
     phase = record.first_phase + np.arange(n_samples)

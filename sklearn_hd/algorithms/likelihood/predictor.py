@@ -74,12 +74,8 @@ def n_columns(response, *, free_x0):
 def output_sensitivities(response, record, x0, *, free_x0=True):
     """∂ŷ/∂x0, ∂ŷ/∂θ and ∂ŷ/∂K of one record, and ŷ − y, piece by piece.
 
-    Yields
-    ------
-    start, stop : int
-        Samples of the piece.
-    dy : ndarray, shape (n_columns + 1, stop − start, l)
-        ŷ − y in the last place.
+    Each piece comes as ``start``, ``stop`` and an array
+    (n_columns + 1, stop − start, l), with ŷ − y in the last place.
     """
     n, columns = response.n_states, n_columns(response, free_x0=free_x0)
     n0, with_gain = n if free_x0 else 0, response.gain is not None
@@ -284,15 +280,10 @@ def sensitivities(rows, inputs, states, residuals, functions, loads, *, feedthro
     Shape (n_samples, l, n_parameters). One-step predictions; of a model without a gain, simulated
     outputs.
 
-    Parameters
-    ----------
-    rows : Rows
-        The model at the samples of one segment.
-    inputs, states, residuals : ndarray, shapes (n_samples, m), (n_samples, n), (n_samples, l)
-    functions, loads : ndarray, shapes (n_samples, 2 H + 1), (n_samples, 2 L + 1)
-        1, cos ψ, sin ψ, …, of the matrices, and of a and c (none where they are not fitted).
-    feedthrough : bool
-        Whether D was fitted.
+    ``rows`` is the model at the samples of one segment. ``functions``
+    (n_samples, 2 H + 1) are 1, cos ψ, sin ψ, … of the matrices. ``loads``
+    (n_samples, 2 L + 1) are those of a and c, with no column where these are not
+    fitted. ``feedthrough`` says whether D was fitted.
     """
     signals = inputs, states, residuals
     pairs = regressors_of(rows, *signals, functions, loads, feedthrough=feedthrough)
@@ -302,17 +293,9 @@ def sensitivities(rows, inputs, states, residuals, functions, loads, *, feedthro
 def regressors_of(rows, inputs, states, residuals, functions, loads, *, feedthrough, n_inputs=None):
     """What the coefficients of [A B K] and of [C D] are multiplied by, then those of a and c.
 
-    Parameters
-    ----------
-    rows, inputs, states, residuals, functions, loads, feedthrough
-        As for :func:`sensitivities`.
-    n_inputs : list of int, optional
-        For each function, how many of the inputs; all by default.
-
-    Returns
-    -------
-    pairs : list of (ndarray, ndarray), shapes (n_samples, q)
-        One for each function, and the loads.
+    Arguments are as for :func:`sensitivities`. ``n_inputs`` says for each function how
+    many of the inputs count; all do by default. A pair of arrays (n_samples, q) comes
+    for each function, and one for the loads.
     """
     n_inputs = [inputs.shape[1]] * functions.shape[1] if n_inputs is None else n_inputs
     pairs = []
@@ -326,21 +309,9 @@ def regressors_of(rows, inputs, states, residuals, functions, loads, *, feedthro
 def sensitivity_pieces(rows, pairs, most, weights=None):
     """Sensitivities piece by piece, each of some rows: this takes little memory.
 
-    Parameters
-    ----------
-    rows : Rows
-    pairs : list of (ndarray, ndarray)
-        From :func:`regressors_of`.
-    most : int
-        Rows of a piece.
-    weights : ndarray, shape (l, l), optional
-        Of the outputs.
-
-    Yields
-    ------
-    piece : slice
-        Its rows.
-    sensitivities : ndarray, shape (n_rows, l, n_parameters)
+    ``pairs`` are from :func:`regressors_of`, and a piece has ``most`` rows or fewer.
+    ``weights`` (l, l) combine the outputs. Each piece comes as a slice of the rows and
+    their sensitivities, (n_rows, l, n_parameters).
     """
     n, K, C = rows.n_states, rows.gain, rows.outputs[..., : rows.n_states]
     W = np.eye(C.shape[1]) if weights is None else weights
@@ -369,12 +340,8 @@ def sensitivity_sums(rows, pairs, directions):
         λ[k] = (A − K C)ᵀ λ[k+1] + Cᵀ w[k]
         Σ λ[k+1]ᵀ ∂[A B a K] [x u 1 e] + (w[k] − Kᵀ λ[k+1])ᵀ ∂[C D c] [x u 1]
 
-    Parameters
-    ----------
-    rows : Rows
-    pairs : list of (ndarray, ndarray)
-        From :func:`regressors_of`.
-    directions : ndarray, shape (n_samples, l)
+    ``pairs`` are from :func:`regressors_of`, and ``directions`` have shape
+    (n_samples, l).
     """
     n, w = rows.n_states, directions[..., None]
     back = rows.predicting.transpose(0, 2, 1)[::-1]
@@ -388,12 +355,8 @@ def sensitivity_sums(rows, pairs, directions):
 def of_each_output(regressors, weights, out=None):
     """Regressors (n_samples, a, l q) for each output by itself; weights then combine the outputs.
 
-    Parameters
-    ----------
-    regressors : ndarray, shape (n_samples, q)
-    weights : ndarray, shape (a, l) or (n_samples, a, l)
-    out : ndarray, optional
-        To write them to.
+    ``regressors`` have shape (n_samples, q), and ``weights`` (a, l) or
+    (n_samples, a, l).
     """
     shape = len(regressors), *weights.shape[-2:], regressors.shape[1]
     out = np.empty((*shape[:2], shape[2] * shape[3])) if out is None else out

@@ -36,13 +36,9 @@ class Score:
 def score_test(residuals, regressors, span):
     """Score of whether residuals go with regressors, beyond what a span of directions takes away.
 
-    Parameters
-    ----------
-    residuals : ndarray, shape (n_samples, l)
-        Of unit covariance.
-    regressors : ndarray, shape (n_samples, l, q)
-    span : ndarray, shape (n_samples * l, r)
-        Orthonormal: of the sensitivities to parameters.
+    ``residuals`` (n_samples, l) have unit covariance, and ``regressors`` shape
+    (n_samples, l, q). The columns of ``span`` (n_samples * l, r) are orthonormal: it is
+    that of the sensitivities to parameters.
 
     References
     ----------
@@ -85,13 +81,9 @@ def lagged(signal, lags):
 def past(signal, edges):
     """Sums of a signal over intervals of its past, zeros before its start.
 
-    Shape (n_samples, n_signals * n_intervals).
-
-    Parameters
-    ----------
-    signal : ndarray, shape (n_samples, n_signals)
-    edges : ndarray of int, shape (n_intervals + 1,)
-        Rows back, rising from 0, the row itself.
+    ``edges`` (n_intervals + 1,) count rows back and rise from 0, the row itself. The
+    sums have shape (n_samples, n_intervals * n_signals), with all signals of one
+    interval side by side.
 
     Examples
     --------
@@ -107,11 +99,7 @@ def past(signal, edges):
 def autoregression(segments, most):
     """Φ (order, l, l) of e[k] = Σ_j Φ_j e[k−j] + white noise, of the order with the least AIC.
 
-    Parameters
-    ----------
-    segments : list of ndarray, shapes (n_samples_s, l)
-    most : int
-        Highest order.
+    Orders up to ``most`` are tried.
     """
     n_outputs = segments[0].shape[1]
     late = np.vstack([lagged(e, range(1, most + 1)) for e in segments])

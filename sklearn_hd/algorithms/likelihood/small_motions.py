@@ -121,16 +121,10 @@ class LargeMotions:
     def of(cls, innovations, segments, layout, sensor_noise, most_growth, degrees=None, gain=None):
         """The model with products; None where none pay, or steps are not to be had.
 
-        Parameters
-        ----------
-        innovations : PeriodicInnovations
-            A model after steps of its likelihood.
-        segments, layout, sensor_noise, most_growth
-            As for :func:`~.innovations_steps.most_likely`.
-        degrees : tuple of int, optional
-            Of the products; those that pay by default.
-        gain : ndarray, optional
-            Of a predictor, for a model that simulates.
+        ``innovations`` is a model after steps of its likelihood. Other arguments are as
+        for :func:`~.innovations_steps.most_likely`. The products have ``degrees``, by
+        default those that pay. ``gain`` is that of a predictor, for a model that
+        simulates.
         """
         asked = degrees is not None
         likelihood = segments, layout, sensor_noise, most_growth
@@ -157,19 +151,11 @@ class LargeMotions:
     def of_other_degrees(self, rest):
         """Where products of the degrees that it has not would lead, with a constant effect.
 
-        Parameters
-        ----------
-        rest : ndarray, shape (2 L + 1, m)
-            Inputs of a machine at rest, as Fourier coefficients.
-
-        Returns
-        -------
-        degrees : tuple of int
-            Empty where none are to be had.
-        beside : NextStep or None
-        orbit : ndarray, shape (l,), or None
-            How far the outputs of a machine at rest may be off, root mean square over a turn: by
-            what products and loads beside the model move them, and as far as these are known.
+        ``rest`` (2 L + 1, m) are inputs of a machine at rest, as Fourier coefficients.
+        It returns the degrees (empty where none are to be had), the NextStep or None,
+        and how far the outputs of a machine at rest may be off, (l,) or None. This is
+        the root mean square over a turn: by what products and loads beside the model
+        move them, and as far as these are known.
         """
         before = () if self.products is None else self.products.degrees
         tried = tuple(degree for degree in DEGREES if degree not in before)
@@ -255,11 +241,7 @@ class LargeMotions:
     def small_motions(self, rest):
         """The linear part, about the orbit of a machine at rest if the motion reaches it.
 
-        Arguments as for :meth:`of_other_degrees`.
-
-        Returns
-        -------
-        small : SmallMotions
+        ``rest`` is as for :meth:`of_other_degrees`.
         """
         motion, found, smaller = self.motion(), self, None
         if motion is not None:

@@ -85,18 +85,10 @@ def fisher_information(form, theta, segments, sigma):
 def propagate_std(jacobian, covariance):
     """Standard deviations of functions f(θ) to first order, √diag(J C Jᵀ).
 
-    Parameters
-    ----------
-    jacobian : array_like, shape (..., k)
-        ∂f/∂θ, real or complex.
-    covariance : ndarray, shape (k, k)
-        Of θ; infinite and NaN for parameters that are not identified.
-
-    Returns
-    -------
-    std : ndarray, shape (...,)
-        Infinite where f depends on a parameter that is not identified. For a complex
-        jacobian complex: of the real part + j times that of the imaginary part.
+    ``jacobian`` (..., k) is ∂f/∂θ, real or complex. ``covariance`` (k, k) of θ is
+    infinite and NaN for parameters that are not identified, and the result is infinite
+    where f depends on one. That of a complex jacobian is complex: the deviation of the
+    real part + j times that of the imaginary part.
 
     Examples
     --------
@@ -124,20 +116,11 @@ def exponent_slopes(form, parameters):
     with left and right eigenvectors w and v of the monodromy matrix M, in which multipliers more
     than some ten decades below the largest are lost.
 
-    Parameters
-    ----------
-    form : Form
-        At any clock, in continuous time or of steps.
-    parameters : ndarray
-        θ; others after it do not count.
-
-    Returns
-    -------
-    exponents : complex ndarray, shape (n,)
-        In 1/s, from the rightmost leftwards. Their imaginary parts are known up to
-        multiples of ω, or up to the sampling frequency if F is constant.
-    slopes : complex ndarray, shape (n, k)
-        Not finite for repeated exponents, which have no derivative.
+    ``form`` is at any clock, in continuous time or of steps. Parameters after θ do not
+    count. The exponents (n,) are in 1/s, from the rightmost leftwards. Their imaginary
+    parts are known up to multiples of ω, or up to the sampling frequency if F is
+    constant. The slopes (n, k) are not finite for repeated exponents, which have no
+    derivative.
     """
     if form.discrete and form.n_points is not None and form.structure.varies[0]:
         return _slopes_of_longer_steps(form, np.asarray(parameters, dtype=float))
@@ -209,14 +192,9 @@ class Parts:
     def compared(self, covariance, gradients, excess):
         """Comparison of what the parts would have some quantities be, against each other.
 
-        Parameters
-        ----------
-        covariance : ndarray, shape (k, k)
-            Of θ, if white noise is left.
-        gradients : ndarray, shape (r, k)
-            Of the quantities.
-        excess : ndarray, shape (r,)
-            Their variance in parts of that of white noise.
+        ``covariance`` (k, k) is that of θ if white noise is left. The quantities have
+        ``gradients`` (r, k), and ``excess`` (r,) is their variance in parts of that of
+        white noise.
         """
         v = gradients @ covariance
         size = np.einsum("rk,rk->r", v, gradients)
@@ -245,11 +223,7 @@ class Comparison:
 def part_scores(result, divisions):
     """Parts by the name of each of several divisions of a record: their scores and information.
 
-    Parameters
-    ----------
-    result : LikelihoodResult
-    divisions : dict of list of ndarray of int, shapes (n_samples,)
-        Part of each row of each record.
+    Each of ``divisions`` has the part of each row (int) of each record.
     """
     problem, point, system = result.problem, result.point, result.system
     width = system.R.shape[1]
