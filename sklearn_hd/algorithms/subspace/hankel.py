@@ -38,22 +38,10 @@ def n_hankel_columns(lengths, block_rows):
 def hankel_factor(inputs, outputs, block_rows, scale=None, products=None):
     """R factor of the transposed block Hankel matrix [U_f; U_p; Y_p; Y_f].
 
-    Parameters
-    ----------
-    inputs : list of ndarray, shapes (n_rows_s, m)
-        One array a segment.
-    outputs : list of ndarray, shapes (n_rows_s, l)
-    block_rows : int
-        Block rows i of the past, and as many of the future.
-    scale : ndarray, shape (m + l,), optional
-        What the channels, inputs and outputs, are divided by.
-    products : callable, optional
-        In place of ``lag_products``, such as a cache of them.
-
-    Returns
-    -------
-    R : ndarray, shape (2 i (m + l), 2 i (m + l))
-        Upper triangular; RᵀR = Z Zᵀ.
+    Each segment has inputs (n_rows_s, m) and outputs (n_rows_s, l). The past has
+    ``block_rows`` i, and the future as many. Channels, inputs before outputs, are
+    divided by ``scale`` (m + l,). ``products`` stands in for ``lag_products``, such as
+    a cache of them. R is upper triangular of size 2 i (m + l), with RᵀR = Z Zᵀ.
     """
     products = products or lag_products
     n_inputs, n_lags = inputs[0].shape[1], 2 * block_rows
@@ -75,19 +63,9 @@ def hankel_factor(inputs, outputs, block_rows, scale=None, products=None):
 def factor_of_products(products, n_inputs, scale=None):
     """R factor from lag products.
 
-    Parameters
-    ----------
-    products : LagProducts
-        Of the inputs and outputs, in 2i lags.
-    n_inputs : int
-        The first of the channels.
-    scale : ndarray, shape (m + l,), optional
-        What the channels are divided by.
-
-    Returns
-    -------
-    R : ndarray, shape (2 i (m + l), 2 i (m + l)), or None
-        None where plain sums have lost what R should say; exact ones never have.
+    The products are of the inputs, then the outputs, in 2i lags. Channels are divided
+    by ``scale`` (m + l,). It returns None where plain sums have lost what R should say;
+    exact ones never have.
     """
     n_lags = len(products.lags)
     order = block_order(n_lags, len(products.exponents), n_inputs)
@@ -107,11 +85,7 @@ def factor_of_products(products, n_inputs, scale=None):
 def n_excited(R, block_rows, n_inputs):
     """Directions that the inputs excite of the 2 i m that their Hankel rows have.
 
-    Parameters
-    ----------
-    R : ndarray, shape (2 i (m + l), 2 i (m + l))
-        From :func:`hankel_factor`.
-    block_rows, n_inputs : int
+    ``R`` is from :func:`hankel_factor`.
     """
     size = 2 * block_rows * n_inputs
     if all_above_rounding(R[:size, :size]):

@@ -40,12 +40,7 @@ class InnovationForm:
     def states(self, inputs, outputs, x0):
         """x̂ of every row, from the outputs of the rows before it.
 
-        Parameters
-        ----------
-        inputs : ndarray, shape (n_rows, m)
-        outputs : ndarray, shape (n_measured, l)
-            Of the first rows; at most the last row may be without.
-        x0 : ndarray, shape (n,)
+        Only the last row of ``inputs`` may be without outputs.
         """
         forcing = inputs @ (self.B - self.K @ self.D).T
         forcing[: len(outputs)] += outputs @ self.K.T
@@ -54,12 +49,8 @@ class InnovationForm:
     def ahead(self, inputs, outputs, x0, horizon):
         """Outputs predicted some rows ahead; those of the first rows from the initial state.
 
-        Parameters
-        ----------
-        inputs, outputs, x0
-            As in :meth:`states`.
-        horizon : int
-            Rows from the last output known to the one predicted, at least 1.
+        Other arguments are as in :meth:`states`. ``horizon``, at least 1, is the number
+        of rows from the last output known to the one predicted.
         """
         x, forcing = self.states(inputs, outputs, x0), inputs @ self.B.T
         steps = min(horizon, len(x)) - 1
@@ -73,11 +64,8 @@ class InnovationForm:
     def initial_state(self, inputs, outputs, covariance=None):
         """The state that leaves the least innovations, by linear least squares.
 
-        Parameters
-        ----------
-        inputs, outputs : ndarray, shapes (n_rows, m), (n_rows, l)
-        covariance : ndarray, shape (l, l), optional
-            Of the innovations, by whose deviations each output counts.
+        Each output counts by the deviation of its innovations, where their
+        ``covariance`` is given.
         """
         n = len(self.A)
         if n == 0:
@@ -115,20 +103,9 @@ def _later(rows, count):
 def kalman_gain(A, C, observability, R, block_rows, n_inputs, n_columns):
     """Kalman gain K and covariance of the innovations.
 
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    C : ndarray, shape (l, n)
-    observability : ndarray, shape (i l, n)
-        In the coordinates of A and C.
-    R : ndarray, shape (2 i (m + l), 2 i (m + l))
-        From :func:`~sklearn_hd.algorithms.subspace.hankel.hankel_factor`.
-    block_rows, n_inputs, n_columns : int
-
-    Raises
-    ------
-    ValueError
-        If no gain makes A − K C stable.
+    ``observability`` (i l, n) is in the coordinates of A and C, and ``R`` from
+    :func:`~sklearn_hd.algorithms.subspace.hankel.hankel_factor`. It raises ValueError
+    if no gain makes A − K C stable.
 
     References
     ----------
@@ -159,19 +136,9 @@ def _states(R, future_inputs, past, future_outputs, observability):
 def gain_of_covariances(A, C, covariance, y_scale):
     """Kalman gain of the stationary filter, and the covariance of its innovations.
 
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    C : ndarray, shape (l, n)
-    covariance : ndarray, shape (n + l, n + l)
-        Of process and measurement noise, [Q S; Sᵀ R].
-    y_scale : ndarray, shape (l,)
-        Sizes of the outputs; no noise is taken for less than a billionth of them.
-
-    Raises
-    ------
-    ValueError
-        If no gain makes A − K C stable.
+    ``covariance`` is that of process and measurement noise, [Q S; Sᵀ R]. No noise is
+    taken for less than a billionth of ``y_scale`` (l,), the sizes of the outputs. It
+    raises ValueError if no gain makes A − K C stable.
 
     References
     ----------

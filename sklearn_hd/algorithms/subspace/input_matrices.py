@@ -48,20 +48,9 @@ CHUNK_BYTES = 2**22  # of equations at a time; three times as much stands beside
 def response_regressors(A, C, u, feedthrough):
     """Outputs of x[k+1] = A x + B u, y = C x + D u as a linear map of x[0], B and D.
 
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    C : ndarray, shape (l, n)
-    u : ndarray, shape (n_samples, m)
-    feedthrough : bool
-        Whether D is free.
-
-    Returns
-    -------
-    free : ndarray, shape (n_samples, l, n)
-        Response to each entry of x[0].
-    forced : ndarray, shape (n_samples, l, n m [+ l m])
-        Response to each entry of B (row by row), then of D.
+    It returns the responses to each entry of x[0], (n_samples, l, n), and those to each
+    entry of B, row by row, and of D where ``feedthrough`` frees it:
+    (n_samples, l, n m [+ l m]).
     """
     n, n_outputs = len(A), len(C)
     if n > CONVOLVED_ORDER:
@@ -107,30 +96,21 @@ def input_matrices(
 ):
     """B, D and the initial states that fit the outputs best, by linear least squares.
 
+    It returns B, D, which is zero unless ``feedthrough`` frees it, and the initial
+    states (n_segments, n). With ``return_residual`` it also returns the sum of squares
+    left.
+
     Parameters
     ----------
-    A : ndarray, shape (n, n)
-    C : ndarray, shape (l, n)
     inputs : list of ndarray, shapes (n_samples_s, m)
         One array a segment.
     outputs : list of ndarray, shapes (n_samples_s, q)
         Measured signals; q = l where ``observe`` is None.
-    feedthrough : bool
-        Whether D is free (else zero).
     observe : list of ndarray, shapes (n_samples_s, q, l), optional
         What is measured of the model's outputs at each sample, such as the
         recomposition of Eq. 7.
     scales : tuple of ndarray, shapes (m,), (q,), optional
         What inputs and outputs are divided by.
-    return_residual : bool, default=False
-
-    Returns
-    -------
-    B : ndarray, shape (n, m)
-    D : ndarray, shape (l, m)
-    x0 : ndarray, shape (n_segments, n)
-    residual : float
-        Sum of squares left, only with ``return_residual``.
     """
     n, m, n_outputs = len(A), inputs[0].shape[1], len(C)
     scales = scales or (np.ones(m), np.ones(outputs[0].shape[1]))
@@ -165,12 +145,8 @@ def pieces_of(A, lengths):
 
     Each piece gets an initial state of its own; a stable A leaves segments whole.
 
-    Returns
-    -------
-    pieces : list of (int, slice)
-        Segment and rows.
-    firsts : list of int
-        The first piece of each segment.
+    It returns the pieces, each a segment and a slice of its rows, and the first piece
+    of each segment.
     """
     longest, radius = max(lengths, default=0), np.max(np.abs(np.linalg.eigvals(A)), initial=0.0)
     if radius > 1.0:  # no fewer rows than tell states apart, while squares are numbers
@@ -266,18 +242,8 @@ def _by_basis(basis, C, u, feedthrough, state):
 def _carry(A, u, carried=None):
     """A^k and the responses of the states to entries of B, k rows later.
 
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    u : ndarray, shape (n_samples, m)
-    carried : tuple of ndarray, optional
-        What this returned for the rows before.
-
-    Returns
-    -------
-    power : ndarray, shape (n, n)
-    forced : ndarray, shape (n, n m)
-        Entries of B row by row.
+    ``carried`` is what this returned for the rows before. The responses (n, n m) have
+    the entries of B row by row.
     """
     n, m = len(A), u.shape[1]
     powers = powers_of(A, len(u))

@@ -115,10 +115,7 @@ class LagProducts:
     def fewer(self, n_lags):
         """The same for fewer lags, for which short records may be long enough.
 
-        Raises
-        ------
-        ValueError
-            If there are not so many lags.
+        It raises ValueError if there are not so many lags.
         """
         if n_lags > len(self.lags):
             raise ValueError(
@@ -162,16 +159,9 @@ class LagProducts:
     def gram(self, order=None):
         """Product of the Hankel matrix with itself.
 
-        Parameters
-        ----------
-        order : ndarray of int, shape (n_lags p,), optional
-            All rows, that which is to stand first, second, …; else by lag, then by channel.
-
-        Returns
-        -------
-        G : Pair, shape (n_lags p, n_lags p)
-            By lag, block (a, b) is Σ_k z_{k+a} z_{k+b}ᵀ, of channels divided by their powers
-            of two.
+        ``order`` has all rows: that which is to stand first, second, …. They stand by
+        lag, then by channel, by default. Then block (a, b) is Σ_k z_{k+a} z_{k+b}ᵀ, of
+        channels divided by their powers of two.
         """
         blocks, p = self._by_lag(), len(self.exponents)
         n_rows = len(self.lags) * p
@@ -275,15 +265,10 @@ def _in_order(blocks, p, order):
 class Stretch:
     """Lag products of consecutive rows of a record, that others may follow.
 
-    Attributes
-    ----------
-    lags : Pair, shape (n_lags, p, p)
-        Of channels divided by 2 to the power of ``exponents``.
-    first, last : ndarray, shapes (min(n_rows, n_lags - 1), p)
-        Rows at both ends, as they were multiplied: rounded beside the largest value of
-        their own chunk, which may be smaller than that of others.
-    exponents : ndarray of int, shape (p,)
-    n_rows : int
+    ``lags`` (n_lags, p, p) are of channels divided by 2 to the power of ``exponents``.
+    ``first`` and ``last`` are the min(n_rows, n_lags − 1) rows at both ends, as they
+    were multiplied: rounded beside the largest value of their own chunk, which may be
+    smaller than that of others.
     """
 
     lags: Pair
@@ -337,12 +322,8 @@ def _seam(earlier, later):
 def stretch(signals, n_lags):
     """Lag products of consecutive rows of one record, in exact sums.
 
-    Parameters
-    ----------
-    signals : tuple of ndarray, shapes (n_rows, p_s)
-        Side by side they are the channels.
-    n_lags : int
-        Block rows 2i, past and future, of the Hankel matrix to come; at least 2.
+    Signals side by side are the channels. ``n_lags``, at least 2, are the block rows
+    2i, past and future, of the Hankel matrix to come.
     """
     exponents = _power_exponents([signals])
     ends = [_rounded([signals], part, exponents, exact=True)[0] for part in _ends(n_lags)]
@@ -353,14 +334,9 @@ def stretch(signals, n_lags):
 def lag_products(records, n_lags, exact):
     """Lag products of whole records.
 
-    Parameters
-    ----------
-    records : list of tuple of ndarray, shapes (n_rows_s, p_s)
-        The arrays of a record, side by side, are its channels.
-    n_lags : int
-        Block rows 2i, past and future, of the Hankel matrix to come; at least 2.
-    exact : bool
-        Exact sums instead of sums in double.
+    The arrays of a record, side by side, are its channels. ``n_lags``, at least 2, are
+    the block rows 2i, past and future, of the Hankel matrix to come. ``exact`` asks for
+    exact sums instead of sums in double.
 
     Examples
     --------

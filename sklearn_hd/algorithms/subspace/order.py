@@ -39,18 +39,8 @@ def order_by_gap(singular_values, floor, max_order):
     is within half a decade of the floor. Where the widest of these is less
     than a factor of two there is no gap, and all values above the floor count.
 
-    Parameters
-    ----------
-    singular_values : ndarray
-        In descending order.
-    floor : float
-        Size of the values that rounding or noise alone would give.
-    max_order : int
-
-    Returns
-    -------
-    order : int
-        At least 1.
+    Singular values descend, and ``floor`` is the size of those that rounding or noise
+    alone would give. The order is at least 1.
 
     Examples
     --------
@@ -91,16 +81,11 @@ class Simulated:
 class Comparison:
     """Models of rising order, with D free or zero, simulated over a record.
 
-    Parameters
-    ----------
-    model : callable
-        ``model(order, feedthrough)`` gives A, B, C, D and the initial state of each segment, or
-        None for these; None where its outputs would overflow.
-    inputs, outputs : list of ndarray, shapes (n_rows_s, m), (n_rows_s, l)
-        Of each segment.
-    fed_back : bool, default=False
-        Whether feedback may have held the outputs of an unstable system: it is then simulated
-        in pieces, each with an initial state of its own. In open loop outputs grow with it.
+    ``model(order, feedthrough)`` gives A, B, C, D and the initial state of each
+    segment, or None for these. It gives None where its outputs would overflow.
+    ``fed_back`` says whether feedback may have held the outputs of an unstable system:
+    it is then simulated in pieces, each with an initial state of its own. In open loop
+    outputs grow with it.
     """
 
     def __init__(self, model, inputs, outputs, fed_back=False):
@@ -111,14 +96,7 @@ class Comparison:
         self._simulated = {}
 
     def order(self, most, feedthrough):
-        """The order that leaves least, up to some; None if all leave more than there is.
-
-        Parameters
-        ----------
-        most : int
-        feedthrough : bool
-            Whether D is free.
-        """
+        """The order that leaves least, up to some; None if all leave more than there is."""
         tried = []
         for n in range(1, most + 1):
             tried.append(self.simulated(n, feedthrough))
@@ -176,11 +154,7 @@ class Comparison:
 def best_of(tried, n_values):
     """The one of the least criterion; an unstable one only where it leaves far less.
 
-    Parameters
-    ----------
-    tried : list of Simulated
-    n_values : int
-        Rows times outputs that were simulated.
+    ``n_values`` is the number of rows times outputs that were simulated.
     """
     best = min(tried, key=lambda each: each.bic)
     stable = min((each for each in tried if each.stable), key=lambda each: each.bic, default=best)

@@ -58,11 +58,8 @@ class ResponseBasis:
 def response_basis(A):
     """Basis of the responses of x[k+1] = A x + B u, y = C x, to any B.
 
-    Returns
-    -------
-    basis : ResponseBasis or None
-        None where no coordinates of good condition part the eigenvalues far enough, or there
-        are none.
+    It returns None where no coordinates of good condition part the eigenvalues far
+    enough, or there are none.
     """
     n = len(A)
     if n == 0:
@@ -121,17 +118,8 @@ def split(theta, n, m, n_outputs):
 def run(F, x, state):
     """Turn forcing v into states of x[k+1] = F x[k] + v[k], in place.
 
-    Parameters
-    ----------
-    F : ndarray, shape (q, q)
-    x : ndarray, shape (n_steps, channels, q)
-    state : ndarray, shape (channels, q)
-        The first.
-
-    Returns
-    -------
-    state : ndarray, shape (channels, q)
-        That after the last step.
+    ``x`` has shape (n_steps, channels, q), and ``state`` (channels, q) is the first
+    one. It returns the state after the last step.
     """
     whole = len(x) // STEPS * STEPS
     if whole:
@@ -172,11 +160,8 @@ def alike_states(A, C):
     Without noise, those of an order too high are seen 10⁷ times less than others: what tells
     good coordinates from bad ones would take them for unseen.
 
-    Returns
-    -------
-    A, C : ndarray
-    size : ndarray, shape (n,)
-        What each state is multiplied by; rows of B and initial states as well.
+    It returns A, C and what each state is multiplied by, as rows of B and initial
+    states are.
     """
     squares = np.zeros(len(A))
     with np.errstate(over="ignore", invalid="ignore"):
@@ -192,10 +177,7 @@ def alike_states(A, C):
 def output_normal(A, C):
     """Output-normal coordinates of a stable model.
 
-    Returns
-    -------
-    model : OutputNormal or None
-        None where there are none, or none of good condition.
+    It returns None where there are none, or none of good condition.
     """
     n = len(A)
     if n == 0:
@@ -242,12 +224,7 @@ def response_products(basis, u, y, scales):
     In blocks of L samples: what was before a block by the w at its start, what is in it by its
     own lagged products. Rounds of some thousand samples are multiplied at a time.
 
-    Parameters
-    ----------
-    basis : ResponseBasis
-    u, y : ndarray, shapes (n_samples, m), (n_samples, l)
-    scales : tuple of ndarray, shapes (m,), (l,)
-        What inputs and outputs are divided by.
+    Inputs and outputs are divided by ``scales`` (m,), (l,).
     """
     n_samples, m, q = *u.shape, len(basis.g)
     L = _block(q, m, y.shape[1], n_samples)
@@ -340,18 +317,8 @@ def _of_samples(sums, powers, within):
 def normal_equations(model, products, feedthrough):
     """Product of the equations with themselves, the outputs last.
 
-    Parameters
-    ----------
-    model : OutputNormal
-    products : ResponseProducts
-    feedthrough : bool
-
-    Returns
-    -------
-    G : ndarray, shape (c, c)
-        The upper triangle.
-    rounding : float
-        Of its entries, beside the lengths of columns.
+    Columns of x[0], B (row by row) and D stand before them. It returns the upper
+    triangle, and the rounding of its entries beside the lengths of columns.
     """
     A, C, units = model.A, model.C, model.basis.units
     n, m, n_outputs, one = len(A), len(products.last), len(C), np.eye(len(A))
