@@ -54,17 +54,8 @@ def harmonic_labels(harmonics):
 def harmonic_functions(psi, harmonics):
     """Values of 1, cos kψ, sin kψ for the harmonics kept.
 
-    Parameters
-    ----------
-    psi : array_like, shape (...,)
-        Azimuth ψ = ωt in radians.
-    harmonics : sequence of int
-        Harmonics kept, such as ``[0, 1]``.
-
-    Returns
-    -------
-    functions : ndarray, shape (..., n_coefficients)
-        One column for harmonic 0, two (cos, sin) for each other.
+    They have shape (..., n_coefficients): one column for harmonic 0, two (cos, sin) for
+    each other. ``psi`` (...,) is in radians.
     """
     psi = np.asarray(psi, dtype=float)
     columns = []
@@ -125,13 +116,8 @@ def times_near_zero_phase(time, omega):
 def recompose(coefficients, psi, harmonics):
     """Signal of given, possibly time-varying, Fourier coefficients (Eq. 7).
 
-    Parameters
-    ----------
-    coefficients : array_like, shape (..., n_coefficients)
-        Coefficients in the order of :func:`harmonic_labels`.
-    psi : array_like, shape (...,)
-        Azimuth in radians.
-    harmonics : sequence of int
+    Coefficients (..., n_coefficients) are in the order of :func:`harmonic_labels`, and
+    ``psi`` (...,) is in radians.
     """
     return np.sum(np.asarray(coefficients) * harmonic_functions(psi, harmonics), axis=-1)
 
@@ -139,17 +125,8 @@ def recompose(coefficients, psi, harmonics):
 def sampled_harmonics(values, n_harmonics):
     """Fourier coefficients of a periodic matrix given at equally spaced phases.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n_phases, ...)
-        From ψ = 0.
-    n_harmonics : int
-        Below n_phases / 2.
-
-    Returns
-    -------
-    coefficients : ndarray, shape (2 n_harmonics + 1, ...)
-        In the order 0, 1c, 1s, ….
+    ``values`` (n_phases, ...) begin at ψ = 0, and ``n_harmonics`` is below
+    n_phases / 2. The coefficients are in the order 0, 1c, 1s, ….
 
     Examples
     --------
@@ -180,15 +157,8 @@ def mean_square(coefficients):
 def all_harmonics(values):
     """Fourier coefficients of the trigonometric polynomial through equally spaced samples.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n_phases, ...)
-        From ψ = 0.
-
-    Returns
-    -------
-    coefficients : ndarray, shape (2 N + 1, ...)
-        N = n_phases // 2; of an even number of samples, that harmonic is a cosine.
+    ``values`` (n_phases, ...) begin at ψ = 0. There are 2 N + 1 coefficients,
+    N = n_phases // 2; of an even number of samples, that harmonic is a cosine.
 
     Examples
     --------
@@ -205,11 +175,8 @@ def all_harmonics(values):
 def fitted_harmonics(parts, n_harmonics):
     """Fourier coefficients (2 N + 1, n_signals) of mean waveforms, by least squares over rows.
 
-    Parameters
-    ----------
-    parts : list of (values, psi)
-        Shapes (n_rows_s, n_signals), (n_rows_s,); any azimuths in radians.
-    n_harmonics : int
+    ``parts`` are pairs of values (n_rows_s, n_signals) and any azimuths (n_rows_s,) in
+    radians.
 
     Examples
     --------
@@ -235,16 +202,9 @@ def standing_lines(parts, n_harmonics):
     The motion is read at odd multiples of half a turn's frequency: what repeats itself with the
     turn has no power there.
 
-    Parameters
-    ----------
-    parts : list of (values, psi)
-        As :func:`fitted_harmonics` has them.
-    n_harmonics : int
-
-    Returns
-    -------
-    coefficients : ndarray, shape (2 n_harmonics + 1, n_signals)
-        Zero where a line does not stand out; the mean is always kept.
+    ``parts`` are as :func:`fitted_harmonics` has them. Coefficients
+    (2 n_harmonics + 1, n_signals) are zero where a line does not stand out; the mean is
+    always kept.
 
     Examples
     --------
@@ -272,10 +232,7 @@ def window_weights(window, samples_per_period):
     periodic signal's coefficients come out exact: ``"boxcar"`` spans one
     period, ``"triangle"`` (a boxcar applied twice) and ``"hann"`` span two.
 
-    Returns
-    -------
-    weights : ndarray, shape (n_window,)
-        Oldest sample first.
+    The first weight is that of the oldest sample.
     """
     n = int(samples_per_period)
     shapes = {"boxcar": ("boxcar", n), "triangle": ("triang", 2 * n - 1), "hann": ("hann", 2 * n)}
@@ -290,16 +247,8 @@ def windowed_coefficients(signal, psi, harmonics, weights, rows):
     sin; the factor is 1 for k = 0, and for half the samples in a period, whose
     cosine and sine are one signal (or the sine vanishes).
 
-    Parameters
-    ----------
-    signal : ndarray, shape (n_samples,)
-    psi : ndarray, shape (n_samples,)
-        Azimuth of each sample, radians.
-    harmonics : sequence of int
-    weights : ndarray, shape (n_window,)
-        Window, oldest sample first.
-    rows : ndarray of int, shape (n_rows,)
-        The last sample in each window; each at least ``n_window - 1``.
+    ``psi`` is in radians. The first of ``weights`` is that of the oldest sample. Each
+    of ``rows`` is the last sample in its window, and at least ``n_window - 1``.
     """
     rows = np.asarray(rows, dtype=int)
     functions = harmonic_functions(psi, harmonics)
@@ -334,17 +283,9 @@ def _gains(functions, harmonics, weights):
 def lift(values, phase, samples_per_period):
     """Whole periods of a segment, one a row.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n_samples, n_signals)
-    phase : ndarray of int, shape (n_samples,)
-        Sample within the period of each row; consecutive.
-    samples_per_period : int
-
-    Returns
-    -------
-    lifted : ndarray, shape (n_periods, samples_per_period, n_signals)
-        From the first ψ = 0.
+    ``phase`` (n_samples,) has the sample within the period of each row; they are
+    consecutive. It returns (n_periods, samples_per_period, n_signals) from the first
+    ψ = 0 on.
 
     Examples
     --------
@@ -364,20 +305,10 @@ def input_directions(lifted, most=None):
     noise on the inputs would give are left out, where the weaker half of all looks like
     such noise and it holds but little energy.
 
-    Parameters
-    ----------
-    lifted : list of ndarray, shapes (n_periods_s, samples_per_period, m)
-    most : int, optional
-        Largest number of directions kept.
-
-    Returns
-    -------
-    directions : list of ndarray, shapes (n_periods_s, r)
-        Uncorrelated, of mean square one over all periods.
-    n_all : int
-        Directions that the inputs move in, except for noise.
-    left_out : float
-        Share of the inputs' energy in directions not kept.
+    Each segment has an array (n_periods_s, samples_per_period, m). It returns three
+    things: ``most`` directions or fewer, (n_periods_s, r), uncorrelated and of mean
+    square one over all periods; the number of directions that the inputs move in,
+    except for noise; and the share of the inputs' energy in directions not kept.
 
     Examples
     --------
@@ -411,14 +342,10 @@ class InputDirections:
     def of(cls, lifted, left_out=0.0, about_mean=False):
         """Of rows of one sample or more, the strongest.
 
-        Parameters
-        ----------
-        lifted : list of ndarray, shapes (n_rows_s, n_phases, m)
-        left_out : float, default=0.0
-            Share of the energy, noise say, that may lie in directions left out. What is but
-            rounding is left out in any case.
-        about_mean : bool, default=False
-            Whether the mean of an input is no motion: where loads take what it does.
+        ``lifted`` has arrays (n_rows_s, n_phases, m). A share ``left_out`` of the
+        energy, noise say, may lie in directions left out. What is but rounding is left
+        out in any case. With ``about_mean`` the mean of an input is no motion: where
+        loads take what it does.
         """
         stacked = np.concatenate(lifted)
         middle = np.zeros(stacked.shape[2])

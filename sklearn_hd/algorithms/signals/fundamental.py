@@ -101,27 +101,12 @@ class OmegaEstimate(NamedTuple):
 def estimate_omega(inputs, outputs, sample_time, omega=None, span=SPAN, starts=None):
     """Fundamental frequency at which records repeat themselves, with its standard deviation.
 
-    Parameters
-    ----------
-    inputs : list of ndarray, shapes (n_samples_s, n_inputs)
-        One array a segment, evenly sampled.
-    outputs : list of ndarray, shapes (n_samples_s, n_outputs)
-        As measured, or trim subtracted.
-    sample_time : float
-        Seconds.
-    omega : float, optional
-        Where to search, rad/s. By default the comb of lines that stands out most in the
-        spectrum of the outputs.
-    span : float
-        Relative, to either side.
-    starts : array_like, shape (n_segments,), optional
-        Time of the first sample of each segment, seconds: patterns go on over gaps. All
-        zero where not given.
-
-    Returns
-    -------
-    estimate : OmegaEstimate
-        Where least is left unexplained.
+    Each segment has an array of inputs and one of outputs, as measured or with the trim
+    subtracted, evenly sampled. The search is about ``omega`` (rad/s), as far as
+    ``span``, a share of it, to either side. By default, it is about the comb of lines
+    that stands out most in the spectrum of the outputs. ``starts`` are times in seconds
+    of the first sample of each segment, as patterns go on over gaps; all are zero by
+    default. The estimate is where least is left unexplained.
     """
     check_numbers("positive", "seconds from row to row", sample_time=sample_time)
     check_fraction("span", span, "how far to search to either side, as a share of the guess")
@@ -161,15 +146,8 @@ def omega_mismatch(inputs, outputs, sample_time, omega, starts=None):
     half of it has to be left unexplained, and the phase has to go astray by a thousandth of a
     turn. A fraction that explains the record better is no mismatch: slow motion may look like it.
 
-    Parameters
-    ----------
-    inputs, outputs, sample_time, omega, starts
-        As in :func:`estimate_omega`.
-
-    Returns
-    -------
-    estimate : OmegaEstimate or None
-        None where there is no mismatch, or nothing to tell it from.
+    Arguments are as in :func:`estimate_omega`. It is None where there is no mismatch,
+    or nothing to tell it from.
     """
     periods = _Periods(inputs, outputs, sample_time, omega, starts)
     if not periods.moves:
@@ -416,11 +394,8 @@ class _Periods:
         Those beside are of the record as the fit explains it: noise that moves along with the
         windows would look like a signal that does.
 
-        Returns
-        -------
-        here : ndarray
-        beside : list of (ndarray, ndarray)
-        turns : list of ndarray
+        It returns those at the fit, a pair beside it for omega (and one for the slope),
+        and the turns of each segment.
         """
         turns = self.turns(fit.omega, fit.slope)
         here = self.coefficients(self.signals, fit.omega, fit.slope, turns)

@@ -57,19 +57,8 @@ def uniform_grid(start, stop, step):
 def interpolate(values, places, at, degree=5):
     """Spline through some samples, evaluated elsewhere.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n_samples, n_signals)
-    places : ndarray, shape (n_samples,)
-        Increasing.
-    at : ndarray, shape (n_points,)
-        Points beyond the ends continue the last piece of the spline.
-    degree : int, default=5
-        Lower where there are too few samples for it.
-
-    Returns
-    -------
-    values : ndarray, shape (n_points, n_signals)
+    ``places`` increase. Points ``at`` beyond the ends continue the last piece of the
+    spline. Where there are too few samples for the ``degree``, it is lower.
 
     Examples
     --------
@@ -94,16 +83,7 @@ def interpolation_error(values, places):
     of the second derivative) to 64. On records of the flapping wing with 16 to
     64 samples a period the bound was 1.6 to 4.8 times the true error.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n_samples, n_signals)
-    places : ndarray, shape (n_samples,)
-        Increasing.
-
-    Returns
-    -------
-    bound : ndarray, shape (n_signals,)
-        In the units of the signals.
+    ``places`` increase, and the bound (n_signals,) is in the units of the signals.
 
     Examples
     --------
@@ -123,18 +103,8 @@ def interpolation_error(values, places):
 def held_means(values, places, grid, step):
     """Means, over each interval of a grid, of signals held from one place to the next.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n_samples, n_signals)
-    places : ndarray, shape (n_samples,)
-        Increasing. The first value also counts before it, the last after it.
-    grid : ndarray, shape (n_grid,)
-        Starts of the intervals, ``step`` apart.
-    step : float
-
-    Returns
-    -------
-    means : ndarray, shape (n_grid, n_signals)
+    ``places`` increase. The first value also counts before its place, the last after
+    it. Intervals start at the ``grid``, ``step`` apart.
 
     Examples
     --------
@@ -163,18 +133,8 @@ def _row_held(places, at):
 def bridge(values, places, longest, degree=3):
     """Short runs of NaN between finite samples of one signal, filled by interpolation.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n_samples,)
-    places : ndarray, shape (n_samples,)
-    longest : int
-        Samples in the longest run that is filled; runs at the ends are not.
-    degree : int, default=3
-        Of the spline through the finite samples.
-
-    Returns
-    -------
-    values : ndarray, shape (n_samples,)
+    Runs of up to ``longest`` samples are filled, but not at the ends. ``degree`` is
+    that of the spline through the finite samples.
 
     Examples
     --------
@@ -238,11 +198,7 @@ def first_lag(samples):
 def lagged(values, lags):
     """Each signal some whole samples later, held at its first value before.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n_samples, n_signals)
-    lags : ndarray of int, shape (n_signals,)
-        Below zero, earlier; the last value is then held behind.
+    Lags below zero move it earlier; the last value is then held behind.
 
     Examples
     --------

@@ -43,16 +43,7 @@ TURN = 2.0 * np.pi
 def changes(values, psi):
     """Signals of one segment less those a turn before; in its first half, a turn after.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n_samples, n_signals)
-    psi : ndarray, shape (n_samples,)
-        Azimuth in rad, growing.
-
-    Returns
-    -------
-    changes : ndarray, shape (n_samples, n_signals)
-        Zero in a segment of less than two turns.
+    ``psi`` grows, in rad. Changes are zero in a segment of less than two turns.
     """
     if len(psi) < 2 or psi[-1] - psi[0] < 2.0 * TURN:
         return np.zeros(values.shape)
@@ -70,18 +61,8 @@ def changes(values, psi):
 def energy_by_turn(signals, psi):
     """Energy of some signals in each turn, the whole record's of each signal being one.
 
-    Parameters
-    ----------
-    signals : list of ndarray, shapes (n_samples_s, n_signals)
-        Of each segment.
-    psi : list of ndarray, shapes (n_samples_s,)
-
-    Returns
-    -------
-    energy : list of ndarray, shapes (n_turns_s,)
-        Of the turns of each segment, from its first sample, that hold samples.
-    turns : list of ndarray of int, shapes (n_samples_s,)
-        Which of them each sample lies in.
+    It returns the energy (n_turns_s,) of the turns of each segment that hold samples,
+    counted from its first one, and which of them each sample lies in.
     """
     largest = np.max([np.max(np.abs(each), axis=0, initial=0.0) for each in signals], axis=0)
     signals = [each / np.where(largest > 0.0, largest, 1.0) for each in signals]
@@ -98,17 +79,8 @@ def inputs_rest(inputs, psi):
 
     A turn rests if the inputs do in it what they did a turn before.
 
-    Parameters
-    ----------
-    inputs : list of ndarray, shapes (n_samples_s, n_inputs)
-        Of each segment; those of less than two turns tell nothing.
-    psi : list of ndarray, shapes (n_samples_s,)
-        Azimuth in rad, growing.
-
-    Returns
-    -------
-    rest : bool
-        False where they never move at all, and of fewer than twelve turns.
+    ``psi`` grows, in rad. Segments of less than two turns tell nothing. It is False for
+    inputs that never move at all, and for fewer than twelve turns.
 
     Examples
     --------
@@ -134,17 +106,9 @@ def _told(inputs, psi):
 def rests(energy, least=0.5):
     """Which turns are at rest.
 
-    Parameters
-    ----------
-    energy : ndarray, shape (n_turns,)
-        Of what inputs do in each.
-    least : float
-        Share of the turns that are judged by: the quietest.
-
-    Returns
-    -------
-    rests : ndarray of bool, shape (n_turns,)
-        False throughout where these move, too, or nothing does.
+    ``energy`` is that of what inputs do in each turn. ``least`` is the share of the
+    turns that are judged by: the quietest. No turn is at rest where these move, too, or
+    nothing does.
 
     Examples
     --------
@@ -187,14 +151,8 @@ def in_trim(inputs, outputs):
     are zero, else those that begin a segment and are known as well, else the most at one level of
     the inputs: others are another orbit's.
 
-    Parameters
-    ----------
-    inputs, outputs : list of ndarray, shapes (n_turns_s, samples_per_turn, n_signals)
-
-    Returns
-    -------
-    trim : list of ndarray of bool, shapes (n_turns_s,)
-        False throughout where nothing rests.
+    Inputs and outputs have an array (n_turns_s, samples_per_turn, n_signals) a segment.
+    No turn is in trim where nothing rests.
     """
     motions = [motion_of(signals) for signals in (inputs, outputs)]
     groups, memory = [], 0
@@ -248,9 +206,7 @@ class _Group:
 def motion_of(signals):
     """Energy of each signal about its mean waveform, a turn.
 
-    Parameters
-    ----------
-    signals : list of ndarray, shapes (n_turns_s, samples_per_turn, n_signals)
+    Each segment has an array (n_turns_s, samples_per_turn, n_signals).
     """
     stacked = np.concatenate(signals)
     if not len(stacked):
@@ -263,11 +219,8 @@ def drift(turns, motion):
 
     In parts of the energy of the motion; zero where it may be noise.
 
-    Parameters
-    ----------
-    turns : ndarray, shape (n_turns, samples_per_turn, n_signals)
-    motion : ndarray, shape (n_signals,)
-        Energy of each signal about its mean waveform, a turn.
+    ``turns`` have shape (n_turns, samples_per_turn, n_signals), and ``motion`` is as
+    :func:`motion_of` has it.
 
     Examples
     --------
@@ -293,10 +246,7 @@ def drift(turns, motion):
 def stands_out(turns, motion):
     """Whether the mean waveform of some turns is more than their noise, and than their drift.
 
-    Parameters
-    ----------
-    turns : ndarray, shape (n_turns, samples_per_turn, n_signals)
-    motion : ndarray, shape (n_signals,)
+    Arguments are as for :func:`drift`.
 
     Examples
     --------
