@@ -48,25 +48,11 @@ class FreeSteps:
 
     In |s|² columns of J count as if they had length one.
 
-    Parameters
-    ----------
-    factor : ndarray, shape (n_rows, k)
-        Triangular factor of J, its columns divided by their lengths.
-    rest : ndarray, shape (n_rows,)
-        r in the same coordinates.
-    size : ndarray, shape (k,)
-        Lengths of the columns.
-    least : float, default=0
-        Singular value of the factor below which a direction is left out.
-
-    Attributes
-    ----------
-    singular, adjoint : ndarray
-        Of the factor: singular values, and their right vectors.
-    kept : ndarray of bool
-        Which of them are not left out.
-    promised : float
-        Decrease of |r + J s|² without damping.
+    ``factor`` is the triangular factor of J, whose columns are divided by their lengths
+    ``size``, and ``rest`` is r in the same coordinates. ``singular`` and ``adjoint``
+    are the singular values of the factor and their right vectors, as rows. Directions
+    whose value is below ``least`` are left out, and ``kept`` marks the others.
+    ``promised`` is the decrease of |r + J s|² without damping.
     """
 
     def __init__(self, factor, rest, size, least=0.0):
@@ -89,17 +75,8 @@ class BoundedSteps:
 
     In |s|² columns of J count as if they had length one.
 
-    Parameters
-    ----------
-    residual : ndarray, shape (n_rows,)
-    jacobian : ndarray, shape (n_rows, k)
-    lower, upper : ndarray, shape (k,)
-        Infinite where there is no bound; zero lies between.
-
-    Attributes
-    ----------
-    promised : float
-        Decrease of |r + J s|² without damping.
+    Bounds are infinite where there is none, and zero lies between them. ``promised`` is
+    the decrease of |r + J s|² without damping.
 
     References
     ----------
@@ -150,14 +127,7 @@ class GridFit:
 def levenberg_marquardt(problem, theta, *, shift=0.0, max_iter=100):
     """Least-squares match on the line Re s = shift, from a start with its poles left of it.
 
-    Parameters
-    ----------
-    problem : MatchingProblem
-    theta : ndarray, shape (k,)
-    shift : float
-        α in rad/s.
-    max_iter : int
-        Largest number of Jacobians.
+    ``shift`` is in rad/s, and ``max_iter`` the largest number of Jacobians.
     """
     residual, jacobian = problem.residual_and_jacobian(theta, shift)
     cost, damping, growth = residual @ residual, 1e-3, 2.0
@@ -241,18 +211,9 @@ def local_fits(problem, starts, *, max_iter):
 
     Stops early at an exact match.
 
-    Parameters
-    ----------
-    problem : MatchingProblem
-    starts : iterable of (ndarray, bool)
-        θ, and whether it is near, as for :func:`fit_from`.
-    max_iter : int
-        Largest number of steps from each.
-
-    Raises
-    ------
-    UnstableModelError
-        If no start led to a stable model.
+    ``starts`` are pairs of θ and whether it is near, as for :func:`fit_from`. Each
+    takes ``max_iter`` steps or fewer. It raises UnstableModelError if none led to a
+    stable model.
     """
     fits, n_starts = [], 0
     for theta, is_near in starts:
@@ -343,18 +304,9 @@ def solve_similarity(problem, theta):
 
     It takes ten steps of Gauss and Newton, or fewer.
 
-    Parameters
-    ----------
-    problem : MatchingProblem
-    theta : ndarray, shape (k,)
-        Near the solution (response within 1e-6, say).
-
-    Returns
-    -------
-    theta : ndarray, shape (k,)
-    residual : float
-        Length of what is left of the equations, relative to their terms; inf where
-        G_c has another number of states.
+    θ has to be near the solution (response within 1e-6, say). It returns θ and the
+    length of what is left of the equations, relative to their terms: inf where G_c has
+    another number of states.
     """
     structure, model = problem.structure, problem.model
     n = structure.n_states

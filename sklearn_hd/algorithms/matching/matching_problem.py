@@ -33,12 +33,8 @@ def channel_scales(response):
     Of a response (n_points, l, m). Rows and columns are brought in turn to the same root mean
     square over frequency (Sinkhorn's iteration on the squared sizes).
 
-    Returns
-    -------
-    output_scales : ndarray, shape (l,)
-    input_scales : ndarray, shape (m,)
-        diag(output_scales) G diag(input_scales) has channels of equal size. A channel
-        that is (nearly) zero is counted as 1e-6 of the largest.
+    diag(output_scales) G diag(input_scales) then has channels of equal size. A channel
+    that is (nearly) zero is counted as 1e-6 of the largest.
 
     Examples
     --------
@@ -230,16 +226,8 @@ class MatchingProblem:
     def linearised(self, theta, frequencies):
         """E, its slopes and the directions of steps (:meth:`_step_directions`).
 
-        Parameters
-        ----------
-        theta : ndarray, shape (k,)
-        frequencies : ndarray, shape (n_points,)
-            The grid, then others.
-
-        Returns
-        -------
-        error, slope : complex ndarray, shapes (n_points, l, m), (n_points, l, m, k)
-        directions : ndarray, shape (k, n_directions)
+        ``frequencies`` are the grid, then others. Slopes have shape
+        (n_points, l, m, k), and directions (k, n_directions).
         """
         error, slope = self.error_and_sensitivity(theta, frequencies)
         scale = (self.output_scales / self.outputs)[:, None] * (self.input_scales / self.inputs)

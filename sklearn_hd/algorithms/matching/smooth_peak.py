@@ -58,21 +58,10 @@ _LEAST_WEIGHT = 1e-3  # of a peak that counts: the bound weighs all points, most
 class LogDetBound:
     """f_μ of matrices E_i, and of what they become when they move.
 
-    Parameters
-    ----------
-    error : complex ndarray, shape (n_points, l, m)
-        E_i.
-    slope : complex ndarray, shape (n_points, l, m, k)
-        ∂E_i/∂θ.
-    directions : ndarray, shape (k, n_directions)
-        M of θ → θ + M ζ.
-
-    Attributes
-    ----------
-    sizes : ndarray, shape (n_points, min(l, m))
-        Singular values, largest first.
-    top : float
-        The largest one.
+    ``error`` (n_points, l, m) has E_i, ``slope`` (n_points, l, m, k) has ∂E_i/∂θ, and
+    ``directions`` (k, n_directions) is M of θ → θ + M ζ. ``sizes``
+    (n_points, min(l, m)) are singular values, largest first, and ``top`` is the largest
+    one of all.
     """
 
     def __init__(self, error, slope, directions):
@@ -116,14 +105,8 @@ class LogDetBound:
 class BoundSlopes:
     """Derivatives of f_μ for one μ, E linear in ζ.
 
-    Attributes
-    ----------
-    gradient : ndarray, shape (n_directions,)
-    hessian : ndarray, shape (n_directions, n_directions)
-    by_parameter : ndarray, shape (k,)
-        ∂f_μ/∂θ.
-    weights : ndarray, shape (n_points, min(l, m))
-        ∂f_μ/∂σ.
+    ``gradient`` and ``hessian`` are by ζ. ``by_parameter`` (k,) is ∂f_μ/∂θ, and
+    ``weights`` (n_points, min(l, m)) are ∂f_μ/∂σ.
     """
 
     def __init__(self, bound, mu):
@@ -245,17 +228,10 @@ class SmoothDescent:
 def smooth_descent(problem, theta, *, first=3.0, gap=GAP, max_iter=150):
     """SmoothDescent to parameters of a low H∞ matching error, through smooth bounds of it.
 
-    Parameters
-    ----------
-    problem : MatchingProblem
-    theta : ndarray, shape (k,)
-        Returned as it is where G_s is unstable or the error zero.
-    first : float
-        t over the norm where the descent begins; which valley it ends in depends on it.
-    gap : float
-        Distance of t from the norm, relative, at which to stop.
-    max_iter : int
-        Largest number of Newton steps.
+    It leaves θ as it is where G_s is unstable or the error zero. ``first`` is t over
+    the norm where the descent begins; which valley it ends in depends on it. The
+    descent stops at a relative distance ``gap`` of t from the norm, or after
+    ``max_iter`` Newton steps.
 
     References
     ----------
