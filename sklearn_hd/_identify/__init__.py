@@ -54,18 +54,7 @@ MODULES = {"plain": plain, "sliding": sliding, "period": period, "sample": sampl
 def without_delays(experiment, delays, settings):
     """The fit of a record in the machine's own time, its model with the delays.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        As measured.
-    delays : Delays
-    settings : Settings
-
-    Returns
-    -------
-    fit : SubspaceFit
-    experiment : Experiment
-        That the fit is of.
+    ``experiment`` is as measured. The fit comes with the experiment that it is of.
     """
     direct, plain = None, experiment.basis.reading == "plain"
     if delays.free.any():
@@ -189,12 +178,7 @@ def identify_frame(X, y, settings, *delays):
     In a search, and with block rows given, which are others for each reading, the second one is
     tried only if the first one fails.
 
-    Returns
-    -------
-    fit : SubspaceFit
-    experiment : Experiment
-    basis : HarmonicBasis or PlainReading
-        As :func:`identify_record` gives them.
+    It returns what :func:`identify_record` does.
     """
     other = None if isinstance(X, np.ndarray) else getattr(X, "basis", None)
     other = None if other is None or is_decomposed(y) else other.alternative
@@ -255,13 +239,8 @@ def _is_surer(second, others, first, doubts):
 def identify_record(experiment, settings, input_delay=0.0, output_delay=0.0):
     """Identify a model from an experiment in memory, as its reading says.
 
-    Returns
-    -------
-    fit : SubspaceFit
-    experiment : Experiment
-        That the fit is of: in the machine's own time.
-    basis : HarmonicBasis or PlainReading
-        With the trim that was identified together with the dynamics.
+    It returns the fit, the experiment that the fit is of, in the machine's own time,
+    and the basis with the trim that was identified together with the dynamics.
     """
     delays = asked_delays(input_delay, output_delay, experiment)
     if delays is None:

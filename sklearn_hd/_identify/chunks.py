@@ -100,11 +100,8 @@ class Stream:
     def with_chunk(self, experiment):
         """The stream and one more chunk.
 
-        Raises
-        ------
-        ValueError
-            If the chunk has other columns, another sample time or basis, or does not
-            follow on what was read before.
+        It raises ValueError if the chunk has other columns, another sample time or
+        basis, or does not follow on what was read before.
         """
         self._check_alike(experiment)
         base, stream = experiment.base, self
@@ -308,10 +305,8 @@ def _first_date(data):
 def with_chunk(stream, experiment, X, settings):
     """The stream and one more chunk; a new stream where there is none yet.
 
-    Raises
-    ------
-    ValueError
-        If the chunk does not follow on the others, or more block rows are asked for.
+    It raises ValueError if the chunk does not follow on the others, or more block rows
+    are asked for, or another half-life.
     """
     asked = most_block_rows(experiment.basis, settings)
     check_rank_bound(settings.order, asked, len(experiment.basis.output_labels))

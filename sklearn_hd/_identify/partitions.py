@@ -35,16 +35,9 @@ class Partitions:
     What :mod:`~sklearn_hd._identify.statistics` promises, of sums that are made once asked for,
     and anew for more block rows.
 
-    Parameters
-    ----------
-    X, y : dask DataFrame (or Series)
-    block_rows : callable
-        ``block_rows(basis)`` are the most that are probably asked for.
-
-    Raises
-    ------
-    ValueError
-        If the analysis, the partitions or their rows do not allow it, or there are none.
+    ``block_rows(basis)`` gives the most that are probably asked for. ValueError is
+    raised if the analysis, the partitions or their rows do not allow it, or there are
+    none.
     """
 
     most_block_rows = np.inf
@@ -123,10 +116,8 @@ class Partitions:
 def _basis_of(X):
     """The basis that a dask DataFrame carries, as its meta shows; that of plain rows without.
 
-    Raises
-    ------
-    ValueError
-        If it is of an analysis that partitions are not read through.
+    It raises ValueError if the basis is of an analysis that partitions are not read
+    through.
     """
     basis = getattr(getattr(X, "_meta", None), "basis", None) or PlainReading()
     whole = basis.reading in ("period", "sample")
@@ -157,10 +148,8 @@ def _delayed():
 def _matched(X, y):
     """Pairs of partitions of X and y.
 
-    Raises
-    ------
-    TypeError, ValueError
-        Unless both are dask DataFrames (y a Series perhaps) of as many partitions.
+    It raises TypeError unless both are dask DataFrames (y a Series perhaps), and
+    ValueError unless they have as many partitions.
     """
     for what, data in (("X", X), ("y", y)):
         if not is_partitioned(data):

@@ -49,12 +49,8 @@ def asked_block_rows(basis, settings):
 def identify(data, settings, experiment=None):
     """Identify a model from samples: a SubspaceFit.
 
-    Parameters
-    ----------
-    data : Records, Summed or Partitions
-    settings : Settings
-    experiment : Experiment, optional
-        Where data are in memory; a record too short for dynamics then has a static gain.
+    ``data`` are Records, Summed or Partitions. ``experiment`` is given where data are
+    in memory; a record too short for dynamics then has a static gain.
     """
     i = _block_rows(data, settings)
     check_motion(data.facts)
@@ -85,14 +81,8 @@ def identify(data, settings, experiment=None):
 class Choice:
     """The order and the feedthrough that the data ask for.
 
-    Parameters
-    ----------
-    data : Records, Summed or Partitions
-    settings : Settings
-    scales : tuple of ndarray, shapes (m,), (l,)
-        What inputs and outputs are divided by.
-    in_memory : bool
-        Whether there are rows to simulate models over; else singular values tell.
+    Inputs and outputs are divided by ``scales`` (m,), (l,). ``in_memory`` says whether
+    there are rows to simulate models over; else singular values tell.
     """
 
     def __init__(self, data, settings, scales, in_memory):

@@ -29,10 +29,8 @@ AT_HAND = 2**26  # bytes that a process has at hand
 class KeptSums:
     """Products of records, and what is made of them, from a cache: a folder or a joblib.Memory.
 
-    Raises
-    ------
-    ValueError
-        If the folder cannot be written, or ``memory`` is something else.
+    ValueError is raised if the folder cannot be written, or ``memory`` is something
+    else.
     """
 
     def __init__(self, memory):

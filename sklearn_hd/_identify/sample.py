@@ -145,18 +145,7 @@ def read(experiment, settings):
 
 
 def identify(data, settings, experiment):
-    """Identify a periodic innovations model from samples.
-
-    Parameters
-    ----------
-    data : Samples
-    settings : Settings
-    experiment : Experiment
-
-    Returns
-    -------
-    fit : SubspaceFit
-    """
+    """Identify a periodic innovations model from samples."""
     if settings.weighting in ("n4sid", "cva"):
         raise ValueError(
             f"weighting={settings.weighting!r} with reading='sample': states are those of a "
@@ -198,11 +187,8 @@ def opinion(experiment):
     The closed form's exponents, known as well as the halves of the record have them. Its warnings
     are of another model than the one asked for.
 
-    Returns
-    -------
-    opinion : Opinion or None
-        None where they tell none, the closed form is unstable, or the record would take more than
-        some tenths of a second.
+    It is None where they tell none, the closed form is unstable, or the record would
+    take more than some tenths of a second.
     """
     if sum(map(len, experiment.outputs)) > MOST_ROWS:
         return None

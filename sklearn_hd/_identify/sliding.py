@@ -45,12 +45,8 @@ def read(experiment, settings):
 def identify(data, settings, experiment=None):
     """Identify a model of windowed coefficients, row by row: a SubspaceFit.
 
-    Parameters
-    ----------
-    data : Records, Summed or Partitions
-    settings : Settings
-    experiment : Experiment, optional
-        Where data are in memory; more ways to an exact model are then tried.
+    ``data`` are Records, Summed or Partitions. ``experiment`` is given where data are
+    in memory; more ways to an exact model are then tried.
     """
     basis = data.facts.basis
     asked, least = asked_block_rows(basis, settings), basis.window_rows + 2
@@ -80,10 +76,8 @@ def identify(data, settings, experiment=None):
 def asked_block_rows(basis, settings):
     """Block rows given, or the default: twice the window's rows, plus two.
 
-    Raises
-    ------
-    ValueError
-        If they do not exceed the window, or the noise is asked for: a window averages it.
+    It raises ValueError if they do not exceed the window's rows plus one, or the noise
+    is asked for: a window averages it.
     """
     if settings.disturbance_model or settings.predictor:
         asked = "disturbance_model=True"
@@ -273,11 +267,9 @@ def modulated_rows(experiment, highest):
 def inputs_by_phase(experiment):
     """Inputs of each hop in the directions they move in, at each phase an input of its own.
 
-    Yields
-    ------
-    choice : list of ndarray, shapes (n_rows_s, d r)
-        For d = all directions, then fewer, down to one for each input: smooth inputs move
-        little but in their means. r is the rows in a period.
+    Each choice has arrays (n_rows_s, d r), where r is the rows in a period. The first
+    choice has d = all directions, the others have fewer, down to one for each input:
+    smooth inputs move little but in their means.
     """
     basis = experiment.basis
     hops, phases = [], []

@@ -121,15 +121,9 @@ class Decomposition:
 def decompose(data, block_rows, size, settings, choose=None):
     """Project the future outputs and choose the order.
 
-    Parameters
-    ----------
-    data : Records, Summed or Partitions
-    block_rows : int
-    size : ndarray, shape (n_inputs + n_outputs,)
-        What the channels are divided by.
-    settings : Settings
-    choose : callable, optional
-        ``choose(found, bound)`` gives the order; the gap of the singular values by default.
+    ``data`` are Records, Summed or Partitions, whose channels are divided by ``size``
+    (n_inputs + n_outputs,). ``choose(found, bound)`` gives the order; the gap of the
+    singular values does by default.
     """
     columns, m = n_hankel_columns(data.lengths, block_rows), data.n_inputs
     lifted = data.facts.basis.reading == "period"
@@ -272,16 +266,8 @@ def fewer_block_rows(asked, least, lengths, n_channels):
 def allowed_block_rows(settings, data, asked, *, least=2, words=None):
     """Block rows that the order and the record allow.
 
-    Parameters
-    ----------
-    settings : Settings
-    data : Records, Summed or Partitions
-    asked : int
-        Block rows given, or the default of the reading.
-    least : int
-        Block rows that the reading needs.
-    words : (str, str, str), optional
-        What a row and a channel are called, and the way out.
+    ``asked`` are the block rows given, or the default of the reading, which needs
+    ``least``. ``words`` say what a row and a channel are called, and the way out.
     """
     i, n_inputs, n_outputs = asked, data.n_inputs, _n_counted_outputs(data)
     if settings.block_rows is None:
@@ -332,13 +318,7 @@ def rows_of_predictor(data, first, size, settings):
     Beyond the directions that the inputs excite there are many predictors, whose states are no
     one's.
 
-    Parameters
-    ----------
-    data : Records, Summed or Partitions
-    first : int
-        Block rows of the shortest predictor tried.
-    size : ndarray, shape (n_inputs + n_outputs,)
-    settings : Settings
+    ``first`` are those of the shortest predictor tried.
     """
     n_inputs, n_outputs, lengths = data.n_inputs, data.n_outputs, data.lengths
     lifted = data.facts.basis.reading == "period"  # inputs act at once, all directions excited
@@ -410,13 +390,8 @@ def check_outputs_move(still, facts):
 def check_told_from_loads(waves, left, experiment):
     """Raise ValueError if an input does the same at every turn: then loads look the same.
 
-    Parameters
-    ----------
-    waves : ndarray, shape (n, m)
-        Mean turn of the inputs, as measured.
-    left : ndarray, shape (m,)
-        Root mean squares of the inputs beside it.
-    experiment : Experiment
+    ``waves`` (n, m) is the mean turn of the inputs, as measured, and ``left`` (m,) are
+    root mean squares of the inputs beside it.
     """
     constant = waves.mean(axis=0)
     varies = np.sqrt(np.mean((waves - constant) ** 2, axis=0))
@@ -463,18 +438,9 @@ def why_no_noise(segments, innovations, predictor, covariance=None):
     same where states, order or harmonics have lost what it knew. Of a predictor that knows fewer,
     the difference has to be beyond chance.
 
-    Parameters
-    ----------
-    segments : list of (inputs, outputs, psi)
-    innovations : PeriodicInnovations
-    predictor : Predictor
-    covariance : ndarray, shape (l, l), optional
-        Of what products of states and inputs leave, where these are further inputs.
-
-    Returns
-    -------
-    words : str
-        Empty where nothing speaks against the model.
+    Segments are (inputs, outputs, psi). ``covariance`` is that of what products of
+    states and inputs leave, where these are further inputs. The words are empty where
+    nothing speaks against the model.
     """
     layout, n = predictor.layout, innovations.n_states
     if sum(len(y) for _, y, _ in segments) < ROWS_PER_COLUMN * layout.n_columns:

@@ -148,10 +148,7 @@ class _Data:
     def scales(self, scale):
         """What channels are divided by: projected, (n_inputs + n_outputs,), and (drive, outputs).
 
-        Parameters
-        ----------
-        scale : bool
-            False leaves the drive and the outputs in their units.
+        The drive and the outputs stay in their units if ``scale`` is False.
         """
         size, drive = self.root_mean_squares(), self.drive_sizes()
         if not scale:
@@ -167,15 +164,9 @@ class _Data:
 class Records(_Data):
     """Inputs and outputs of all segments, in memory.
 
-    Parameters
-    ----------
-    inputs, outputs : list of ndarray, shapes (n_rows_s, m), (n_rows_s, l)
-        Drive and outputs at the analysed rows.
-    facts : Facts
-    kept : KeptSums or None
-        Where products are kept (:mod:`~sklearn_hd._identify.products_cache`).
-    excitation : list of ndarray, shapes (n_rows_s, n_inputs), optional
-        What is projected in place of the inputs, brought to equal size.
+    ``inputs`` and ``outputs`` are the drive and the outputs at the analysed rows.
+    ``kept`` is where products are kept (:mod:`~sklearn_hd._identify.products_cache`).
+    ``excitation`` is what is projected in place of the inputs, brought to equal size.
     """
 
     def __init__(self, inputs, outputs, facts, kept=None, excitation=None):
@@ -363,22 +354,9 @@ def _total(sums):
 class Summed(_Data):
     """Data of which there are sums.
 
-    Parameters
-    ----------
-    sums : Sums
-    channels : Channels
-        Of the sums.
-    facts : Facts
-    highest : int
-        Harmonics that what moves of the drive is projected with.
-    forgetting : Forgetting
-        How the rows are weighted.
-
-    Attributes
-    ----------
-    lengths : list of int
-        Rows of each segment; of weighted ones, as many as they are worth.
-    n_effective_rows : float
+    ``channels`` are those of the sums. What moves of the drive is projected with
+    harmonics up to ``highest``. ``forgetting`` says how the rows are weighted:
+    ``lengths`` and ``n_effective_rows`` count weighted rows as what they are worth.
     """
 
     def __init__(self, sums, channels, facts, highest, forgetting=REMEMBERING):
