@@ -60,7 +60,6 @@ class HarmonicBasis:
         Fundamental frequency, rad/s; the mean speed where an azimuth is given.
     sample_time : float
         Seconds from row to row of the grid that is analysed.
-    samples_per_period : int
     window : str
         Such as ``"boxcar"`` (causal) or ``"centred-boxcar"``.
     hop : int
@@ -209,16 +208,9 @@ class HarmonicBasis:
     def coefficients(self, values, time, signals, rows):
         """Windowed coefficients of some signals at some rows of one segment.
 
-        Parameters
-        ----------
-        values : ndarray, shape (n_samples, n_signals)
-            One column for each entry of ``signals``.
-        time : ndarray, shape (n_samples,)
-            Seconds.
-        signals : tuple of (signal, (k, …))
-        rows : ndarray of int, shape (n_rows,)
-            Rows nearer to an end than the window reaches take the nearest
-            whole window; read by periods, the period that the row is in.
+        ``values`` has one column for each of ``signals``, (signal, (k, …)), and
+        ``time`` is in seconds. Rows nearer to an end than the window reaches take the
+        nearest whole window; read by periods, they take the period that the row is in.
         """
         ends = self.window_ends(time, rows)
         unique, where = np.unique(ends, return_inverse=True)
@@ -234,12 +226,7 @@ class HarmonicBasis:
 
         Each coefficient counts alike in a fit, whatever its size: rounding would, too.
 
-        Parameters
-        ----------
-        outputs : ndarray, shape (n_samples, n_outputs)
-            Trim subtracted.
-        time : ndarray, shape (n_samples,)
-        rows : ndarray of int, shape (n_rows,)
+        The trim is subtracted from ``outputs``.
         """
         columns = self.coefficients(outputs, time, self.outputs, rows)
         start = 0
@@ -253,16 +240,9 @@ class HarmonicBasis:
     def drive(self, values, time):
         """Inputs of the identified model at every sample of one segment.
 
-        Parameters
-        ----------
-        values : ndarray, shape (n_samples, n_inputs)
-            Raw inputs, trim subtracted, one column for each entry of ``inputs``.
-
-        Returns
-        -------
-        drive : ndarray, shape (n_samples, n_drive)
-            The raw signal where only harmonic 0 is kept; else the coefficients
-            of the whole period that each sample lies in.
+        ``values`` are raw inputs, trim subtracted, one column for each of ``inputs``.
+        The drive is the raw signal where only harmonic 0 is kept. Else it is the
+        coefficients of the whole period that each sample lies in.
         """
         psi, spp = self.azimuth(time), self.samples_per_period
         box = window_weights("boxcar", spp)

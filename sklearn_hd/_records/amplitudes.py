@@ -63,10 +63,7 @@ def _on_the_same_grid(records, experiment):
 
     Lengths may differ by less than a period, as those of flights do.
 
-    Returns
-    -------
-    groups : list of dict
-        Label of each record to the lengths of its segments.
+    Each group has the lengths of the segments of each record, by its label.
     """
     basis, times = experiment.basis, experiment.times()
     found = {}
@@ -167,18 +164,10 @@ def _combined(experiment, records, combinations):
 def same_waveform(inputs):
     """Records whose inputs are multiples of one waveform, and the multiples.
 
-    Parameters
-    ----------
-    inputs : list of ndarray, shapes (n_samples_r, n_inputs)
-        One a record, on the same grid from the first row on. Lengths may
-        differ: the rows that two records share are compared.
-
-    Returns
-    -------
-    groups : list of (indices, amplitudes)
-        Amplitudes are multiples of the largest input of the group, which
-        comes first with amplitude 1. A record at rest stands alone with
-        amplitude 0.
+    Each record has an array, and all are on the same grid from the first row on.
+    Lengths may differ: the rows that two records share are compared. Groups are pairs
+    of indices and amplitudes, multiples of the largest input of the group, which comes
+    first with amplitude 1. A record at rest stands alone with amplitude 0.
 
     Examples
     --------
@@ -216,10 +205,7 @@ def extrapolation_weights(amplitudes):
     As many powers are told apart as there are distinct amplitudes; records of
     one amplitude are averaged.
 
-    Parameters
-    ----------
-    amplitudes : array_like, shape (n_records,)
-        Signed, none of them zero.
+    Amplitudes have signs, and none is zero.
 
     Examples
     --------
@@ -255,16 +241,9 @@ def odd_weights(amplitudes):
     Records of one amplitude and sign are averaged. Sizes that differ by up to
     5 % make a pair; their quadratic terms cancel all the same.
 
-    Parameters
-    ----------
-    amplitudes : array_like, shape (n_records,)
-        As for :func:`extrapolation_weights`.
-
-    Returns
-    -------
-    weights : ndarray, shape (n_pairs, n_records)
-    single : list of int
-        Records whose amplitude stands there with one sign only.
+    Amplitudes are as for :func:`extrapolation_weights`, and weights have shape
+    (n_pairs, n_records). Single records are those whose amplitude stands there with one
+    sign only.
 
     Examples
     --------

@@ -234,18 +234,8 @@ def _least_rows(highest):
 def settled_omega(analyzer, inputs, outputs, timing):
     """The fundamental frequency at which a record is analysed, rad/s.
 
-    Parameters
-    ----------
-    analyzer : HarmonicAnalyzer
-        Asked for ``omega`` and ``azimuth`` alone.
-    inputs : Signals
-    outputs : ndarray, shape (n_rows, n_outputs), or None
-    timing : Timing
-
-    Returns
-    -------
-    omega : float
-        The mean speed by the azimuth where there is one.
+    It is the mean speed by the azimuth where there is one. The analyzer is asked for
+    ``omega`` and ``azimuth`` alone.
     """
     if analyzer.azimuth is not None:
         omega = inputs.mean_speed(analyzer.azimuth)[1]
@@ -274,20 +264,10 @@ def warn_of_speeds(labels, segments, omega, n_harmonics):
 
     Folds of a search are not checked; the final fit is.
 
-    Parameters
-    ----------
-    labels : sequence of label
-        The record of each segment.
-    segments : list of (inputs, outputs, time)
-    omega : float
-        rad/s, about which they are looked for.
-    n_harmonics : int
-        Of the orbits.
-
-    Returns
-    -------
-    speeds : list of (float, float)
-        ω and its standard deviation, rad/s, of each record with an orbit; empty where they are one.
+    ``labels`` has the record of each segment (inputs, outputs, time). Speeds are looked
+    for about ``omega``, of orbits with ``n_harmonics`` harmonics. It returns a list of
+    ω and its standard deviation, rad/s, of each record with an orbit. The list is empty
+    where they are one.
     """
     records = {}
     for label, segment in zip(labels, segments, strict=True):
@@ -371,13 +351,8 @@ def _warn_of_another(found, omega):
 def with_trim(basis, signals, outputs, trim_span):
     """The basis with the waveforms of inputs and outputs in trim, as ``trim_span`` says.
 
-    Parameters
-    ----------
-    basis : HarmonicBasis
-    signals : Signals
-        Inputs.
-    outputs : ndarray, shape (n_rows, n_outputs), or None
-    trim_span : (float, float), "auto" or None
+    ``signals`` are the inputs. ``trim_span`` is (start, stop) in seconds, "auto" or
+    None.
     """
     span = None if trim_span is None else check_span("trim_span", trim_span, AUTO)
     samples = basis.reading == "sample"  # which identifies its forced response with the dynamics

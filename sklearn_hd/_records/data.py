@@ -271,19 +271,7 @@ def _refuse_lost_basis(X):
 def sample(signals, basis, outputs=None):
     """Grid for some rows, and the inputs and outputs on it, one array a segment.
 
-    Parameters
-    ----------
-    signals : Signals
-        Inputs.
-    basis : HarmonicBasis or PlainReading
-    outputs : ndarray, shape (n_rows, n_outputs), optional
-        At the same rows; what is missing of them is missing of the record.
-
-    Returns
-    -------
-    sampling : Sampling
-    inputs : list of ndarray
-    outputs : list of ndarray or None
+    ``signals`` are the inputs. What is missing of the outputs is missing of the record.
     """
     base, timing, held = signals.base, basis.timing, basis.held
     inputs, outputs, present = given(signals, outputs, timing, held)
@@ -299,12 +287,7 @@ def sample(signals, basis, outputs=None):
 def given(signals, outputs, timing, held=False):
     """Inputs and outputs, short runs of NaN bridged where asked for, and rows without any.
 
-    Returns
-    -------
-    inputs : ndarray, shape (n_rows, n_inputs)
-    outputs : ndarray, shape (n_rows, n_outputs), or None
-    present : ndarray of bool, shape (n_rows,), or None
-        None is all.
+    The rows are a mask of those that hold all samples; None is all of them.
     """
     inputs = _bridged(signals.data, signals.base, timing, held)
     outputs = None if outputs is None else _bridged(outputs, signals.base, timing)
@@ -431,15 +414,6 @@ def to_continuous(model, experiment):
 
     A model of coefficients seen through a window gets new B and D, fitted to the raw record; any
     other model keeps its own.
-
-    Parameters
-    ----------
-    model : LTIModel
-    experiment : Experiment
-
-    Returns
-    -------
-    continuous : LTIModel
     """
     if model.dt == 0.0:
         return model
@@ -453,17 +427,7 @@ def to_continuous(model, experiment):
 def refit_inputs(A, C, experiment, feedthrough):
     """B and D of a continuous model that fit the raw record best, and the R² reached.
 
-    Parameters
-    ----------
-    A, C : ndarray
-        Continuous-time state matrix, and output matrix to the coefficients.
-    experiment : Experiment
-    feedthrough : bool
-
-    Returns
-    -------
-    B, D : ndarray
-    r2 : float
+    ``A`` is in continuous time, and ``C`` is the output matrix to the coefficients.
     """
     dt = experiment.base.sample_time
     A_raw, hold = continuous_to_discrete(A, np.eye(len(A)), dt)

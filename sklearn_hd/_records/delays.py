@@ -62,10 +62,8 @@ class Delays:
 def asked_delays(inputs, outputs, experiment):
     """The delays asked for of the signals of an experiment; None where all are zero.
 
-    Raises
-    ------
-    ValueError
-        If one is negative, not finite, of an unknown signal, or outlasts the record.
+    It raises ValueError if a delay is negative, not finite, of an unknown signal, or
+    outlasts the record.
     """
     signals = tuple(experiment.basis.input_signals), tuple(experiment.output_names)
     parts = [

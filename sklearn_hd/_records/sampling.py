@@ -93,13 +93,9 @@ class Sampling:
     def onto_grid(self, values, held=False, omega=None):
         """The user's rows of some signals on the grid, one array a segment.
 
-        Parameters
-        ----------
-        values : ndarray, shape (n_rows, n_signals)
-        held : bool or ndarray of bool, shape (n_signals,)
-            Which signals are held from row to row; the others are smooth.
-        omega : float, optional
-            rad/s; splines are then of what signals do about their mean waveform.
+        ``held`` says which signals are held from row to row; the others are smooth.
+        With ``omega`` in rad/s, splines are of what signals do about their mean
+        waveform.
         """
         held = np.broadcast_to(held, values.shape[1:])
         moved = [piece for piece in self.pieces if not piece.is_grid]
@@ -133,10 +129,7 @@ def mean_waveform(parts):
 
     Others belong to what moves about the orbit: splines would miss more of them than they hold.
 
-    Parameters
-    ----------
-    parts : list of (values, psi)
-        Shapes (n_rows_s, n_signals), (n_rows_s,).
+    ``parts`` are pairs of values (n_rows_s, n_signals) and azimuths (n_rows_s,).
     """
     steps = np.concatenate([np.diff(psi) for _, psi in parts])
     told = np.pi / np.max(steps) if len(steps) else 1.0  # of the widest step, too
@@ -165,13 +158,8 @@ def lay_grid(base, places, present, step, timing, shortest=1):
         Rows of which no sample is missing; None is all.
     step : float
         Of the grid, seconds.
-    timing : Timing
     shortest : int
         Rows of the grid below which a piece is left out, if samples may be missing.
-
-    Returns
-    -------
-    sampling : Sampling
     """
     pieces, records = [], []
     rounding = resolution(base.time)
@@ -230,14 +218,7 @@ def outliers(values):
     s is half of the signal's spread or more, and six times every other d nearby: noise and edges
     are no outliers.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n_rows, n_signals)
-
-    Returns
-    -------
-    sizes : ndarray, shape (n_rows, n_signals)
-        |s| in parts of the standard deviation; zero elsewhere.
+    It returns |s| in parts of the standard deviation, and zero elsewhere.
 
     Examples
     --------
@@ -268,13 +249,7 @@ def warn_of_outliers(inputs, outputs, names, samples):
 
     What comes as often as every other turn is a part of the motion: impacts.
 
-    Parameters
-    ----------
-    inputs : Signals
-    outputs : ndarray, shape (n_rows, n_outputs)
-    names : tuple of str
-    samples : float
-        In a turn.
+    ``samples`` is the number of samples in a turn.
     """
     if searching():
         return
@@ -298,14 +273,7 @@ def warn_of_outliers(inputs, outputs, names, samples):
 
 
 def warn_of_resampling(basis, inputs, outputs):
-    """Say onto how many samples a period is resampled, and what that costs.
-
-    Parameters
-    ----------
-    basis : HarmonicBasis
-    inputs : Signals
-    outputs : ndarray, shape (n_rows, n_outputs), or None
-    """
+    """Say onto how many samples a period is resampled, and what that costs."""
     step, unless = inputs.base.sample_time, ""
     if basis.alternative is not None and not basis.alternative.timing.resampled:
         unless = f", unless fit chooses reading={basis.alternative.reading!r}"
@@ -353,15 +321,9 @@ def _filled(values):
 def regrouped(experiment, blocks, grids, clock, records):
     """An experiment of other segments, whose rows are those of the grid.
 
-    Parameters
-    ----------
-    experiment : Experiment
-    blocks : dict of list of ndarray
-        What it holds of each segment; "outputs" is also what was measured.
-    grids, clock : list of ndarray
-        Times of each segment on the grid and by the index.
-    records : list
-        Label of the record of each segment.
+    ``blocks`` has by name what it holds of each segment; "outputs" is also what was
+    measured. ``grids`` and ``clock`` are times of each segment on the grid and by the
+    index, and ``records`` has the label of the record of each.
     """
     edges = np.cumsum([0, *map(len, grids)])
     segments = tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges))
