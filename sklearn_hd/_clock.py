@@ -79,10 +79,6 @@ def read_time(data, sample_time=None, time_origin=None, row_time=None, of_fit=Fa
         Seconds from one counted sample to the next; 1.0 by default.
     of_fit : bool, default=False
         Whether ``sample_time`` is that of the data at fit, for messages.
-
-    Returns
-    -------
-    base : TimeBase
     """
     if sample_time is not None:
         hint = "None reads it from the index"

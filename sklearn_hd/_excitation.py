@@ -221,15 +221,8 @@ def warn_of_another_orbit(measured, simulated, at_rows, time, experiment):
     It has to be most of what the simulation leaves, more than the motion, and a notable part of
     the orbit itself. Means do not count: a bad model leaves them, too.
 
-    Parameters
-    ----------
-    measured, simulated : ndarray, shape (n_samples, l)
-        Without the model's orbit.
-    at_rows : ndarray, shape (n_samples, l)
-        As measured.
-    time : ndarray, shape (n_samples,)
-        Of the experiment's grid, seconds.
-    experiment : Experiment
+    ``measured`` and ``simulated`` (n_samples, l) are without the model's orbit, and
+    ``at_rows`` is as measured. ``time`` is that of the experiment's grid in seconds.
     """
     basis, unit = experiment.basis, np.max(np.abs(at_rows))
     few = len(time) < LEAST_TURNS * basis.samples_per_period
@@ -274,10 +267,8 @@ def spectral_peak(segments):
     By the mean periodogram of eight stretches of the longest segment, half over each other
     (Welch, 1967): of white noise it is χ² with 36 K² / (19 K − 1) degrees of freedom.
 
-    Returns
-    -------
-    peak : float
-        The largest of all outputs, at least 1; 1 where a segment is too short to tell.
+    It is the largest of all outputs, and at least 1. It is 1 where a segment is too
+    short to tell.
 
     Examples
     --------

@@ -328,13 +328,7 @@ def longest_span(experiment):
 
 
 def check_motion(facts):
-    """Raise ValueError if an input or all outputs rest; warn of those that rest in part.
-
-    Parameters
-    ----------
-    facts : Facts
-        Of the data of a fit (:mod:`~sklearn_hd._identify.statistics`).
-    """
+    """Raise ValueError if an input or all outputs rest; warn of those that rest in part."""
     if facts.still:
         raise ValueError(
             f"input {facts.still[0]!r} is constant in the {facts.span}, so the record does not "
@@ -388,19 +382,9 @@ def motion_kept(measured, sampling, basis, taken):
     Neighbouring samples share motion, whatever their noise; so do samples further apart, for as
     long as it lasts.
 
-    Parameters
-    ----------
-    measured : ndarray, shape (n_rows, l)
-        Outputs as given.
-    sampling : Sampling
-    basis : SampleBasis
-    taken : ndarray, shape (2 L + 1, l)
-        Fourier coefficients of the outputs' forced periodic mean.
-
-    Returns
-    -------
-    kept : ndarray, shape (hop, l)
-        1, 2, … hop samples apart; 1 of outputs that are noise alone.
+    ``measured`` are outputs as given, and ``taken`` (2 L + 1, l) are Fourier
+    coefficients of their forced periodic mean. The result (hop, l) is that of samples
+    1, 2, … hop apart. It is 1 for outputs that are noise alone.
     """
     shared, n_rows = 0.0, 0
     unit = np.nanmax(np.abs(measured), axis=0)

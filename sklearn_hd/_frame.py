@@ -385,11 +385,7 @@ class SampleModel:
     def of_matched(self, coefficients, n_states):
         """The samples of a continuous model about the forced periodic response of this one.
 
-        Parameters
-        ----------
-        coefficients : ndarray, shape (2 K + 1, n + l, n + m)
-            Of its [F G; P Q](ψ).
-        n_states : int
+        ``coefficients`` (2 K + 1, n + l, n + m) are those of its [F G; P Q](ψ).
         """
         moved = samples_of(coefficients, n_states, self.omega, self.innovations.step)
         K = max(len(moved), len(self.innovations.coefficients)) // 2
@@ -418,15 +414,7 @@ class SampleModel:
 
 
 class SampleSimulator:
-    """Free simulation of such a model over one segment, affine in its initial state.
-
-    Parameters
-    ----------
-    model : SampleModel
-    basis : SampleBasis
-    drive : ndarray, shape (n_samples, m)
-    time, psi : ndarray, shape (n_samples,)
-    """
+    """Free simulation of such a model over one segment, affine in its initial state."""
 
     def __init__(self, model, basis, drive, time, psi):
         self.model, self.basis, self.drive, self.time, self.psi = model, basis, drive, time, psi

@@ -160,10 +160,7 @@ def first_of(names):
 def held_back():
     """Hold warnings back until it is known whether they are of the model that is kept.
 
-    Yields
-    ------
-    held : list of (message, category)
-        To be given, each, if it is.
+    It yields a list of (message, category), which are to be given if they are.
     """
     held = []
     token = _HELD.set(held)
@@ -179,12 +176,6 @@ def warn(message, category):
     Python shows a warning once for each line and text, but forgets so wherever filters change,
     as in each fit of a search. There it is remembered here, unless the filters say "always", and
     texts count up to the first colon: what follows are figures, in which folds differ.
-
-    Parameters
-    ----------
-    message : str
-    category : type
-        Of warning.
     """
     if _HELD.get() is not None:
         _HELD.get().append((message, category))

@@ -60,11 +60,7 @@ class Opinion:
     def about(self, exponents):
         """The nearest exponent to each of some, its distance and deviation, in parts of its rate.
 
-        Returns
-        -------
-        nearest : complex ndarray
-            Shifted by a multiple of jω to the exponent's side.
-        apart, spread : ndarray
+        The nearest one is shifted by a multiple of jω to the exponent's side.
         """
         apart, deviations = self.beside(exponents)
         size = _rates(exponents, self.omega)
@@ -131,10 +127,8 @@ def lasting(exponents, omega):
 def decays_at_rest(experiment):
     """Outputs of the periods of free decay, in like units, and which periods they are.
 
-    Returns
-    -------
-    decays : list of ndarray, shapes (n_periods_s, samples_per_period, l)
-    stretches : list of (segment, slice)
+    Outputs have shape (n_periods_s, samples_per_period, l), and the periods are given
+    as pairs of a segment and a slice.
     """
     stretches = periods_at_rest(lifted_periods(experiment, experiment.inputs))
     lifted = moving_periods(experiment)
@@ -172,13 +166,9 @@ def of_halves(exponents, halves, omega, duration):
     it so well, and chance explains how far off the other is, σ is no more than the deviation of
     that half, or its distance if larger.
 
-    Parameters
-    ----------
-    exponents : complex ndarray, shape (n,)
-    halves : list of (complex ndarray, ndarray or None), shapes (n,)
-        Exponents of each, and their standard deviations, None where it has no likelihood. The parts
-        are equal if neither has one, and not known if one has none.
-    omega, duration : float
+    Each of ``halves`` has its exponents (n,) and their standard deviations, or None
+    where it has no likelihood. The parts are equal if neither has one, and not known if
+    one has none.
     """
     own, known = [], np.full((2, len(exponents)), np.inf)
     for deviations, (half, its) in zip(known, halves, strict=True):
@@ -365,11 +355,7 @@ def _within(exponent, error):
 def why_unconfirmed(exponents, opinion):
     """What of some exponents the second opinion does not confirm, and the way out; or "".
 
-    Parameters
-    ----------
-    exponents : complex ndarray, shape (n,)
-        Of the model, 1/s.
-    opinion : Opinion or None
+    Exponents are those of the model, in 1/s.
     """
     words = "" if opinion is None else contradictions(np.asarray(exponents, complex), opinion)
     return f"{words}; {WAY_OUT}" if words else ""

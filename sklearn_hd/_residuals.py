@@ -42,15 +42,8 @@ NEW = np.sqrt(RANK)  # in a direction of a span, of columns of length one
 class Segment:
     """Residuals of one segment, and the signals with which they may correlate.
 
-    Attributes
-    ----------
-    residuals, predicted : ndarray, shapes (n_samples, l)
-    inputs : ndarray, shape (n_samples, m)
-    psi : ndarray, shape (n_samples,)
-    fitted : ndarray, shape (n_samples, l, r)
-        Sensitivities of the predictions to parameters.
-    start : ndarray, shape (n_samples, l, n)
-        To the initial state.
+    ``fitted`` (n_samples, l, r) are sensitivities of the predictions to parameters, and
+    ``start`` (n_samples, l, n) those to the initial state.
     """
 
     residuals: np.ndarray
@@ -112,12 +105,8 @@ class Remainder:
 def remainder(experiment, simulators, most_rows=MOST_ROWS):
     """Residuals of a model over an experiment, or its first rows.
 
-    Raises
-    ------
-    UnstableModelError
-        If a simulation overflows.
-    ValueError
-        If there are too few rows for the parameters.
+    It raises UnstableModelError if a simulation overflows, and ValueError if there are
+    too few rows for the parameters.
     """
     basis, segments, left = experiment.basis, [], most_rows
     parts = zip(simulators, experiment.outputs, experiment.phases, experiment.times(), strict=True)
@@ -343,13 +332,8 @@ def why_incomplete(model, experiment, simulators):
     samples. Where rows are too few to test, the simulation overflows, or less is left than sensors
     leave, nothing is told.
 
-    Parameters
-    ----------
-    model : SampleModel
-    experiment : Experiment
-    simulators : callable
-        ``simulators(model, experiment)`` are those without a gain, which would follow what states
-        that are missing do.
+    ``simulators(model, experiment)`` are those without a gain, which would follow what
+    states that are missing do.
     """
     own, m = model.innovations, len(model.input_names)
     n, n_outputs = own.n_states, len(model.output_names)

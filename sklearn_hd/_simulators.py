@@ -37,14 +37,6 @@ class SegmentSimulator:
 
     A continuous model steps at the data's own sample time. A discrete model steps from one row
     that its reading reads to the next.
-
-    Parameters
-    ----------
-    model : LTIModel
-    basis : HarmonicBasis or PlainReading
-    drive : ndarray, shape (n_samples, n_drive)
-    time : ndarray, shape (n_samples,)
-    sample_time : float
     """
 
     def __init__(self, model, basis, drive, time, sample_time):
@@ -146,14 +138,7 @@ class LiftedSimulator(SegmentSimulator):
 
     Harmonics, and predictions ahead, are those of whole periods.
 
-    Parameters
-    ----------
-    model : LTIModel
-        With ``lifted``.
-    basis, drive, time, sample_time
-        As for :class:`SegmentSimulator`.
-    inputs : ndarray, shape (n_samples, n_inputs)
-        Measured, trim subtracted.
+    ``model`` has ``lifted``, and ``inputs`` are as measured, trim subtracted.
     """
 
     def __init__(self, model, basis, drive, time, sample_time, inputs):
@@ -210,11 +195,9 @@ def without_gain(model, experiment):
 def steady(simulator, piece, n_outputs, samples):
     """What repeats itself of the outputs of a segment, trim aside, some samples late.
 
-    Returns
-    -------
-    on_grid : ndarray, shape (n_samples, n_outputs)
-    at_rows : ndarray, shape (n_rows, n_outputs)
-        At the user's rows, by Fourier series: splines would need more samples in a turn.
+    It returns these on the grid (n_samples, n_outputs) and at the user's rows
+    (n_rows, n_outputs), there by Fourier series: splines would need more samples in a
+    turn.
     """
     forced = np.broadcast_to(simulator.forced(), (len(piece.grid), n_outputs))
     forced = late(forced, samples)
@@ -254,19 +237,10 @@ def fit_initial_state(simulator, outputs, rows):
 def predicted_ahead(simulator, outputs, horizon, x0=None, *, rows, recompose):
     """Outputs of one segment, predicted some rows ahead.
 
-    Parameters
-    ----------
-    simulator : SegmentSimulator
-    outputs : ndarray, shape (n_samples, n_outputs)
-        Measured, trim subtracted.
-    horizon : int
-        Rows of the model from the last output used to the one predicted.
-    x0 : ndarray, shape (n_states,), optional
-        The state with the least innovations where not given.
-    rows : slice
-        Samples that x0 is fitted to.
-    recompose : bool
-        False gives harmonics.
+    ``outputs`` are as measured, trim subtracted. ``horizon`` counts rows of the model
+    from the last output used to the one predicted. Without ``x0`` the state is that
+    with the least innovations over the samples ``rows``. It gives harmonics if
+    ``recompose`` is False.
     """
     model, u, form = simulator.model, simulator.drive, simulator.form
     Y = simulator.read(outputs)
@@ -282,16 +256,9 @@ def predicted_ahead(simulator, outputs, horizon, x0=None, *, rows, recompose):
 def initial_states(x0, base, n_states, state_names=None):
     """One initial state a segment, (n_segments, n_states).
 
-    Parameters
-    ----------
-    x0 : array_like, Series, DataFrame or dict
-        One vector for all segments, one row a segment, or one vector a record:
-        in a dict, or in a DataFrame whose index holds the labels of the
-        records. Labels of Series and columns of DataFrames that name the
-        states put them in order.
-    base : TimeBase
-    n_states : int
-    state_names : sequence of str, optional
+    ``x0`` is one vector for all segments, one row a segment, or one vector a record: in
+    a dict, or in a DataFrame whose index holds the labels of the records. Labels of
+    Series and columns of DataFrames that name the states put them in order.
     """
     n_segments = len(base.segments)
     if isinstance(x0, pd.Series):
@@ -322,18 +289,8 @@ def initial_states(x0, base, n_states, state_names=None):
 def states_by_record(states, base, state_names=None):
     """States of segments as a table that :func:`initial_states` reads.
 
-    Parameters
-    ----------
-    states : sequence of ndarray, shape (n_states,)
-        One a segment.
-    base : TimeBase
-    state_names : sequence of str, optional
-        As control.StateSpace has them by default.
-
-    Returns
-    -------
-    table : DataFrame, shape (n_segments, n_states)
-        Indexed by record; by segment where a record has several.
+    The table is indexed by record, or by segment where a record has several. Names of
+    the states are those of control.StateSpace by default.
     """
     once = len(set(base.records)) == len(base.records)
     index = pd.Index(base.records if once else range(len(states)))
