@@ -329,27 +329,13 @@ def why_incomplete(model, experiment, simulators):
     """Why a model of samples lacks states: what it leaves goes with inputs of the past; or "".
 
     Whatever a feedthrough could explain is taken out: it stands for inputs that move between
-    samples. Where rows are too few to test, the simulation overflows, or less is left than sensors
-    leave, nothing is told.
-
-    ``simulators(model, experiment)`` are those without a gain, which would follow what
+    samples. ``simulators(model, experiment)`` are those without a gain, which would follow what
     states that are missing do.
     """
-    own, m = model.innovations, len(model.input_names)
-    n, n_outputs = own.n_states, len(model.output_names)
-    n_parameters = (2 * own.n_harmonics + 1) * (n + n_outputs) * (n + m)
-    most = min(MOST_ROWS, int(MOST_PRODUCTS / (n_outputs * n_parameters**2)))
-    if not (n and m):
+    if not len(model.input_names):
         return ""
-    try:
-        free = replace(model, feedthrough=True)
-        left = remainder(experiment, simulators(free, experiment), most)
-    except (UnstableModelError, ValueError):
-        return ""
-    if left.part_of_motion() < SENSOR_NOISE**2:
-        return ""
-    test = scored(left, None, ALARM, "inputs").loc["inputs"]
-    if test["passed"]:
+    test = _failed("inputs", replace(model, feedthrough=True), experiment, simulators)
+    if test is None:
         return ""
     return (
         f"what a simulation leaves goes with inputs of the last {TURNS_BACK} turns: the test gives "
@@ -357,3 +343,42 @@ def why_incomplete(model, experiment, simulators):
         f"of what is left; states are missing, an output is late, or the response is not linear: "
         f"raise order=, give output_delay=, use smaller motions, and see residual_tests"
     )
+
+
+def why_coloured(model, experiment, simulators):
+    """Why a model of samples lacks states: its one-step predictions leave no white noise; or "".
+
+    With a gain it follows what a slow mode does that it lacks, but for a part.
+    """
+    test = _failed("autocorrelation", model, experiment, simulators)
+    if test is None:
+        return ""
+    return (
+        f"one-step predictions leave what goes with itself: the test of autocorrelation gives "
+        f"{test['statistic']:.4g} instead of {test['degrees']:.0f} for noise, {test['share']:.2g} "
+        f"of what is left, and a simulation leaves more than they do: a mode of little motion is "
+        f"missing, or the sensors' noise is coloured; raise order=, use "
+        f"HarmonicAnalyzer(reading='period') if the inputs rest, and see residual_tests"
+    )
+
+
+def _failed(name, model, experiment, simulators):
+    """A residual test that a model of samples fails; else None.
+
+    None, too, where rows are too few to test, the simulation overflows, or less is left than
+    sensors leave.
+    """
+    own, n_outputs = model.innovations, len(model.output_names)
+    n, m = own.n_states, len(model.input_names)
+    n_parameters = (2 * own.n_harmonics + 1) * (n + n_outputs) * (n + m)
+    if not n_parameters:
+        return None
+    most = min(MOST_ROWS, int(MOST_PRODUCTS / (n_outputs * n_parameters**2)))
+    try:
+        left = remainder(experiment, simulators(model, experiment), most)
+    except (UnstableModelError, ValueError):
+        return None
+    if left.part_of_motion() < SENSOR_NOISE**2:
+        return None
+    test = scored(left, None, ALARM, name).loc[name]
+    return None if test["passed"] else test

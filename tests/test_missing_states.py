@@ -102,3 +102,45 @@ def test_exact_data_are_not_tested():
     """What rounding and closed forms leave is no noise, and less than any sensor's."""
     u, y = record(2, True, noise=0.0)
     fitted("period", 3, u, y)
+
+
+def two_modes(seed, share, rests):
+    """Two oscillations of 6 and 4.5 % damping in one output; the second is a part of the first."""
+    F = np.zeros((3, 4, 4))
+    F[0, :2, :2], F[0, 2:, 2:] = [[0.0, 1.0], [-1.0, -0.12]], [[0.0, 1.0], [-1.716, -0.118]]
+    F[1, 1, 0], F[1, 3, 2] = -0.3, 0.515
+    system = LTPSystem(F, [[0.0], [1.0], [0.0], [share]], [[1.0, 0.0, 1.0, 0.0]], omega=1.55)
+    rng, u = np.random.default_rng(seed), np.zeros(60 * 36)
+    n = 6 * 36 if rests else 0
+    while n < len(u):
+        width = int(rng.integers(9, 36 if rests else 108))
+        u[n : n + width] = rng.choice([-1.0, 1.0]) if rests else rng.uniform(-1.0, 1.0)
+        n += width + (int(rng.integers(5, 9)) * 36 if rests else 0)
+    t = np.arange(len(u)) * system.period / 36
+    y = np.asarray(system.simulate(u[:, None], t))
+    y = y + 0.01 * y.std() * rng.standard_normal(y.shape)
+    time = pd.Index(t, name="time")
+    return system, pd.DataFrame({"u": u}, time), pd.DataFrame(y, time, ["y"])
+
+
+@pytest.mark.parametrize("share", [0.05, pytest.param(0.0, marks=pytest.mark.slow)])
+def test_a_mode_of_little_motion_that_a_gain_follows_is_told(share):
+    """3 % of the output, three times the noise: R² is 0.999, and no exponent is in doubt."""
+    _, u, y = two_modes(0, share, rests=False)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        pipe = make_pipeline(HarmonicAnalyzer(1.55, reading="sample"), MOESPRegressor(2)).fit(u, y)
+    words = "one-step predictions leave what goes with itself"
+    assert any(words in str(w.message) for w in said) == (share > 0.0)
+    assert pipe.score(u, y) > 0.998
+
+
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
+def test_an_order_given_has_the_block_rows_that_it_needs():
+    """A short record has fewer by default; order="auto" found more states than were allowed."""
+    system, u, y = two_modes(0, 0.1, rests=True)
+    pipe = make_pipeline(HarmonicAnalyzer(1.55, reading="period"), MOESPRegressor(4)).fit(u, y)
+    found, exact = pipe[-1].model_.exponents(), system.floquet_exponents()
+    apart = found[:, None] - exact
+    apart -= 1.55j * np.round(apart.imag / 1.55)
+    assert np.all(np.abs(apart).min(axis=0) < 0.02)

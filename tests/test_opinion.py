@@ -153,6 +153,25 @@ def test_distance_and_error_count_together():
     assert doubtful(near, replace(own, needed=True)).all()
 
 
+def test_fewer_coefficients_that_are_enough_explain_what_is_between_two_estimates(rng):
+    """Both err together: the distance varies by less than either. A bias of 16 % is no chance."""
+    own = 0.01 * rng.standard_normal((2000, 1))
+    more = own + 0.02 * rng.standard_normal((2000, 1))
+    less = [opinion(-0.2 + 0.2 * each, 0.002) for each in own]
+    deviation = 0.2 * np.hypot(0.01, 0.02)
+    moved = [
+        [
+            opinion(-0.2 + 0.2 * (each + bias), deviation).moves(its)
+            for each, its in zip(more, less, strict=True)
+        ]
+        for bias in (0.0, 0.16)
+    ]
+    assert np.mean(moved[0]) < 1e-3
+    assert np.mean(moved[1]) > 0.99
+    gone = opinion([-9.0], 0.0)
+    assert not opinion([-8.0], 1e-3).moves(gone)  # a turn leaves nothing of it
+
+
 @pytest.mark.parametrize(("deviation", "told"), [(0.002, True), (0.02, False)])
 def test_a_mode_that_a_match_moves_to_where_nothing_is_judged_is_missed(deviation, told):
     """A turn leaves nothing of -9 1/s: no exponent of the match is in doubt, but one is lost."""

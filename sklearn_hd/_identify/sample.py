@@ -35,8 +35,8 @@ from sklearn_hd._identify.stages import (
 from sklearn_hd._identify.statistics import Facts
 from sklearn_hd._opinion import DOUBT, Opinion, lasting, more_doubtful, of_halves, why_unconfirmed
 from sklearn_hd._readings import SampleBasis
-from sklearn_hd._residuals import why_incomplete
-from sklearn_hd._simulators import without_gain
+from sklearn_hd._residuals import why_coloured, why_incomplete
+from sklearn_hd._simulators import sample_simulators, without_gain
 from sklearn_hd.algorithms.likelihood.small_motions import AS_LITTLE
 from sklearn_hd.algorithms.linalg.rounding import EPS, EXACT, HALF
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
@@ -159,6 +159,8 @@ def identify(data, settings, experiment):
     held = experiment.basis.hop == 1  # else inputs move between rows, which goes with inputs, too
     if held and not (searching() or found.refined.no_noise):
         words.append(why_incomplete(model, experiment, without_gain))
+        if not (any(words) or found.refined.degrees or found.leaves_noise):
+            words.append(why_coloured(model, experiment, sample_simulators))
     for message in filter(None, words):
         warn(message, IdentifiabilityWarning)
     left = found.left_at_rest if found.refined.degrees else chosen
@@ -250,8 +252,8 @@ class _Found:
             return model
         halves = _of_halves(model, self.choice, self.chosen, refined)
         opinions = [halves, *_of_its_likelihood(refined, data, basis.omega)]
-        if refined.degrees:  # whose exponents are those of small motions
-            opinions = [*opinions[1:], halves]
+        # of equals that of small motions: by what it is apart, deviations become wider
+        opinions.sort(key=lambda each: each is None or not each.of_small_motions)
         opinion, orbit = more_doubtful(model.exponents(), *opinions), refined.beside[2]
         off = None if orbit is None else orbit * data.scales[1]
         return replace(model, opinion=opinion, orbit_deviation=off)
@@ -509,8 +511,8 @@ def _of_its_likelihood(refined, data, omega):
     Where steps have not come to an end, and where products have not taken up all by which a
     machine is not linear, that is elsewhere. Beside products its deviations are the model's own.
     Products of degrees that did not pay, or are too many, have a word where chance does not
-    explain them: distance and error count together then, since of what saturates they may take up
-    but a part.
+    explain them, or where they lead an exponent: distance and error count together then, since of
+    what saturates they may take up but a part.
     """
     small = refined.small
     if small is not None:
@@ -522,10 +524,13 @@ def _of_its_likelihood(refined, data, omega):
     elif refined.ahead is not None:
         yield _ahead(refined.ahead, data, omega, "a further step of its likelihood has")
     degrees, beside, _ = refined.beside
-    if beside is not None and beside.beyond > STANDARD_ERRORS:
+    if beside is not None:
         which = " and ".join(POWERS[degree] for degree in degrees)
         way = f"its likelihood beside {which} of the motion has"
-        yield _ahead(beside.ahead, data, omega, way, own=True, of_small_motions=True, needed=True)
+        more = {"own": True, "of_small_motions": True, "needed": True}
+        other = _ahead(beside.ahead, data, omega, way, **more)
+        if beside.beyond > STANDARD_ERRORS or other.moves(_ahead(refined.ahead, data, omega)):
+            yield other
 
 
 def _ahead(ahead, data, omega, way="", **more):

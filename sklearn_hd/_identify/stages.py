@@ -271,6 +271,9 @@ def allowed_block_rows(settings, data, asked, *, least=2, words=None):
     """
     i, n_inputs, n_outputs = asked, data.n_inputs, _n_counted_outputs(data)
     if settings.block_rows is None:
+        if settings.order != "auto":
+            rank = 1 + int(np.ceil(settings.order / n_outputs))
+            least = min(asked, max(least, rank))
         i = fewer_block_rows(asked, least, data.lengths, n_inputs + n_outputs)
     check_rank_bound(settings.order, i, n_outputs)
     # the future inputs, i m rows, are projected out of j = n_rows − 2 i + 1 columns

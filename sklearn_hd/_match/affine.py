@@ -376,8 +376,11 @@ def _weights(found, model, experiment):
 
 def _unlike(sampled, model, experiment, within_noise):
     """Words and kind of warning of a match that grows e-fold within a segment, or responds
-    otherwise, where the model identified does not; None where it is like that model, to a
-    hundredth of the response's variance or to within the noise."""
+    otherwise, where the model identified does not; None where it is like that model.
+
+    To a hundredth of the response's variance, or to what noise leaves unknown of the response: of
+    p coefficients, p times the variance of a row, over all rows and outputs.
+    """
     longest = max(map(len, experiment.outputs))
     if longest * model.innovations.growth() > GROWN:  # it has been warned of
         return None
@@ -389,7 +392,7 @@ def _unlike(sampled, model, experiment, within_noise):
             f"{grows_by(folds)} over the longest segment, although the identified model is stable",
             InstabilityWarning,
         )
-    left, there, n_rows = 0.0, 0.0, 0
+    left, there = 0.0, 0.0
     for u, psi in zip(experiment.drive, experiment.phases, strict=True):
         found, wanted = (
             _response(each, model.moving(u, psi)[:MOST_ROWS], psi[:MOST_ROWS])
@@ -397,9 +400,11 @@ def _unlike(sampled, model, experiment, within_noise):
         )
         left = left + np.sum((found - wanted) ** 2, axis=0)
         there = there + np.sum(wanted**2, axis=0)
-        n_rows += len(wanted)
-    noise = n_rows * np.diag(model.innovations_covariance)
-    most = np.minimum(noise, LITTLE * there) if within_noise else LITTLE * there
+    most = LITTLE * there
+    if within_noise:
+        n_coefficients = np.count_nonzero(model.innovations.coefficients[..., :-1])  # but for loads
+        noise = np.diag(model.innovations_covariance)
+        most = np.minimum(most, n_coefficients / len(noise) * noise)
     if not np.any((left > most) & (there > 0.0)):  # an output at rest has rounding alone
         return None
     share = np.max(left / np.where(there > 0.0, there, np.inf))
