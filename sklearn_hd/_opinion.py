@@ -91,18 +91,11 @@ class Opinion:
         k, rows = np.abs(gap).argmin(axis=1), np.arange(len(exponents))
         return gap[rows, k], self.deviations[k]
 
-    def moves(self, fewer):
-        """Whether an exponent that lasts is elsewhere than chance explains beside that of a model
-        of fewer coefficients, an Opinion, which knows it better if these are enough.
-
-        The variance of what is between both is then the difference of their own.
-
-        Reference: J. A. Hausman, "Specification tests in econometrics", Econometrica 46 (1978).
-        """
-        apart, deviations = self.beside(fewer.exponents)
-        chance = np.sqrt(np.maximum(deviations**2 - fewer.deviations**2, 0.0))
-        moved = np.abs(apart) > STANDARD_ERRORS * chance
-        return bool(np.any(moved & lasting(fewer.exponents, self.omega)))
+    def moves(self, exponents):
+        """Whether it has one of some exponents that last elsewhere, beyond what chance explains."""
+        apart, deviations = self.beside(exponents)
+        moved = np.abs(apart) > STANDARD_ERRORS * deviations
+        return bool(np.any(moved & lasting(exponents, self.omega)))
 
     def _gaps(self, exponents):
         """From each of some exponents to each of its own, nearest of the multiples of jω."""

@@ -153,23 +153,11 @@ def test_distance_and_error_count_together():
     assert doubtful(near, replace(own, needed=True)).all()
 
 
-def test_fewer_coefficients_that_are_enough_explain_what_is_between_two_estimates(rng):
-    """Both err together: the distance varies by less than either. A bias of 16 % is no chance."""
-    own = 0.01 * rng.standard_normal((2000, 1))
-    more = own + 0.02 * rng.standard_normal((2000, 1))
-    less = [opinion(-0.2 + 0.2 * each, 0.002) for each in own]
-    deviation = 0.2 * np.hypot(0.01, 0.02)
-    moved = [
-        [
-            opinion(-0.2 + 0.2 * (each + bias), deviation).moves(its)
-            for each, its in zip(more, less, strict=True)
-        ]
-        for bias in (0.0, 0.16)
-    ]
-    assert np.mean(moved[0]) < 1e-3
-    assert np.mean(moved[1]) > 0.99
-    gone = opinion([-9.0], 0.0)
-    assert not opinion([-8.0], 1e-3).moves(gone)  # a turn leaves nothing of it
+@pytest.mark.parametrize(("apart", "moved"), [(0.03, False), (0.05, True)])
+def test_an_opinion_moves_an_exponent_that_lasts_by_more_than_four_deviations(apart, moved):
+    its = opinion((1.0 + apart) * PAIR.real + 1j * PAIR.imag, 0.002)
+    assert its.moves(PAIR) == moved
+    assert not opinion([-8.0], 1e-3).moves(np.array([-9.0 + 0j]))  # a turn leaves nothing of it
 
 
 @pytest.mark.parametrize(("deviation", "told"), [(0.002, True), (0.02, False)])

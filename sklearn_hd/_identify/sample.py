@@ -159,7 +159,8 @@ def identify(data, settings, experiment):
     held = experiment.basis.hop == 1  # else inputs move between rows, which goes with inputs, too
     if held and not (searching() or found.refined.no_noise):
         words.append(why_incomplete(model, experiment, without_gain))
-        if not (any(words) or found.refined.degrees or found.leaves_noise):
+        little = found.left.variance <= LITTLE and not found.leaves_noise  # more may be gusts
+        if little and not (any(words) or found.refined.degrees):
             words.append(why_coloured(model, experiment, sample_simulators))
     for message in filter(None, words):
         warn(message, IdentifiabilityWarning)
@@ -528,8 +529,11 @@ def _of_its_likelihood(refined, data, omega):
         which = " and ".join(POWERS[degree] for degree in degrees)
         way = f"its likelihood beside {which} of the motion has"
         more = {"own": True, "of_small_motions": True, "needed": True}
-        other = _ahead(beside.ahead, data, omega, way, **more)
-        if beside.beyond > STANDARD_ERRORS or other.moves(_ahead(refined.ahead, data, omega)):
+        other, own = (
+            _ahead(beside.ahead, data, omega, way, **more),
+            _ahead(refined.ahead, data, omega),
+        )
+        if beside.beyond > STANDARD_ERRORS or other.moves(own.exponents):
             yield other
 
 
