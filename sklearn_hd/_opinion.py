@@ -92,7 +92,7 @@ class Opinion:
         return gap[rows, k], self.deviations[k]
 
     def moves(self, exponents):
-        """Whether it has one of some exponents that last elsewhere, beyond what chance explains."""
+        """Whether one of some exponents that last is off by more than chance explains."""
         apart, deviations = self.beside(exponents)
         moved = np.abs(apart) > STANDARD_ERRORS * deviations
         return bool(np.any(moved & lasting(exponents, self.omega)))

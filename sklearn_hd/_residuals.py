@@ -348,25 +348,26 @@ def why_incomplete(model, experiment, simulators):
 def why_coloured(model, experiment, simulators):
     """Why a model of samples lacks states: its one-step predictions leave no white noise; or "".
 
-    With a gain it follows what a slow mode does that it lacks, but for a part.
+    ``simulators(model, experiment)`` are those with the gain. It follows most of what a slow mode
+    does that the model lacks, and colours what is left.
     """
     test = _failed("autocorrelation", model, experiment, simulators)
     if test is None:
         return ""
     return (
-        f"one-step predictions leave what goes with itself: the test of autocorrelation gives "
+        f"what one-step predictions leave is not white: the test of its autocorrelation gives "
         f"{test['statistic']:.4g} instead of {test['degrees']:.0f} for noise, {test['share']:.2g} "
         f"of what is left, and a simulation leaves more than they do: a mode of little motion is "
-        f"missing, or the sensors' noise is coloured; raise order=, use "
+        f"missing, or the noise of sensors or gusts is coloured; raise order=, use "
         f"HarmonicAnalyzer(reading='period') if the inputs rest, and see residual_tests"
     )
 
 
 def _failed(name, model, experiment, simulators):
-    """A residual test that a model of samples fails; else None.
+    """A residual test that a model of samples fails; None if it passes, or is not made.
 
-    None, too, where rows are too few to test, the simulation overflows, or less is left than
-    sensors leave.
+    It is not made where rows are too few, the simulation overflows, or less is left than sensors
+    leave.
     """
     own, n_outputs = model.innovations, len(model.output_names)
     n, m = own.n_states, len(model.input_names)

@@ -253,7 +253,7 @@ class _Found:
             return model
         halves = _of_halves(model, self.choice, self.chosen, refined)
         opinions = [halves, *_of_its_likelihood(refined, data, basis.omega)]
-        # of equals that of small motions: by what it is apart, deviations become wider
+        # where several doubt alike, that of small motions counts: its distance widens deviations
         opinions.sort(key=lambda each: each is None or not each.of_small_motions)
         opinion, orbit = more_doubtful(model.exponents(), *opinions), refined.beside[2]
         off = None if orbit is None else orbit * data.scales[1]
@@ -512,8 +512,8 @@ def _of_its_likelihood(refined, data, omega):
     Where steps have not come to an end, and where products have not taken up all by which a
     machine is not linear, that is elsewhere. Beside products its deviations are the model's own.
     Products of degrees that did not pay, or are too many, have a word where chance does not
-    explain them, or where they lead an exponent: distance and error count together then, since of
-    what saturates they may take up but a part.
+    explain them, or how far they move an exponent. Distance and error count together then, since
+    of what saturates they may take up but a part.
     """
     small = refined.small
     if small is not None:

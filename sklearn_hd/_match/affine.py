@@ -378,8 +378,9 @@ def _unlike(sampled, model, experiment, within_noise):
     """Words and kind of warning of a match that grows e-fold within a segment, or responds
     otherwise, where the model identified does not; None where it is like that model.
 
-    To a hundredth of the response's variance, or to what noise leaves unknown of the response: of
-    p coefficients, p times the variance of a row, over all rows and outputs.
+    Responses are alike if they differ by less than a hundredth of their variance, and, if asked
+    for, by no more than noise leaves unknown. The sum of squares over all rows and outputs that p
+    coefficients leave unknown is p times the variance of a row.
     """
     longest = max(map(len, experiment.outputs))
     if longest * model.innovations.growth() > GROWN:  # it has been warned of
