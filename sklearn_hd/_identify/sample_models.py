@@ -18,8 +18,8 @@ from sklearn_hd._identify.stages import (
     warn_of_feedback,
     why_no_noise,
 )
-from sklearn_hd.algorithms.likelihood.innovations_steps import most_likely
-from sklearn_hd.algorithms.likelihood.small_motions import AS_LITTLE, LargeMotions
+from sklearn_hd.algorithms.likelihood.innovations_steps import fitted, most_likely
+from sklearn_hd.algorithms.likelihood.small_motions import AS_LITTLE, LEAST_TAKEN_UP, LargeMotions
 from sklearn_hd.algorithms.lti.simulation import GROWN
 from sklearn_hd.algorithms.periodic.harmonic_balance import (
     evaluate_harmonics,
@@ -120,6 +120,11 @@ class _States:
 def _with_noise(covariance, noise=SENSOR_NOISE):
     """A covariance of outputs with some noise added, that of a sensor by default."""
     return covariance + noise**2 * np.eye(len(covariance))
+
+
+def _left(innovations):
+    """Logarithm of the variance that one-step predictions leave, beside the least noise."""
+    return np.linalg.slogdet(_with_noise(innovations.covariance))[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -398,7 +403,7 @@ class Choice:
         layout = replace(self.layout, n_input_harmonics=count if asked is None else asked)
         most_growth = GROWN / self.data.longest if stable else np.inf
         likelihood = self.data.segments, layout, SENSOR_NOISE, most_growth
-        found = most_likely(start, *likelihood) if self.steps else None
+        found = self._most_likely(start, likelihood, stable, like) if self.steps else None
         model, ahead = (start, None) if found is None else found
         large, without = None, found and LargeMotions.without(model, *likelihood)
         if found is not None and (like is None or like.degrees):
@@ -407,6 +412,34 @@ class Choice:
         if like is None and (large is None or why_no_noise(*compared, large.covariance)):
             large, no_noise = None, why_no_noise(*compared)
         return Refined(model, ahead, self.data.rest, no_noise, large, without)
+
+    def _most_likely(self, start, likelihood, stable, like):
+        """The model of largest likelihood near a start: with a gain, or as another one has it.
+
+        If simulations leave more than noise, it may be one without: white noise of sensors needs
+        no gain, but steps that have one may end where it stands for slow modes, since no step
+        leads over a predictor that does not forget. Steps without are taken if the first promises
+        as much as the gain does, or half of what a simulation leaves; their model is kept if it
+        leaves no more than predictions with the gain.
+        """
+        gain = 0.0 * start.gain
+        if like is not None and not like.linear.gain.any():
+            return most_likely(replace(start, gain=gain), *likelihood)
+        found = most_likely(start, *likelihood)
+        if found is None or not stable:
+            return found
+        model = found[0]
+        still = fitted(replace(model, gain=gain), self.data.segments, SENSOR_NOISE)
+        if still is None or self.leaves_noise(
+            self.compared(model.n_states, model.n_harmonics, model)
+        ):
+            return found
+        n_rows = sum(len(y) for _, y, _ in self.data.segments)
+        of_gain = 0.5 * n_rows * (_left(still) - _left(model))  # −log L
+        half = 0.5 * n_rows * self.data.n_outputs * LEAST_TAKEN_UP
+        least = min(of_gain, half)
+        simulated = most_likely(still.innovations, *likelihood, least_fall=least)
+        return found if simulated is None or _left(simulated[0]) > _left(model) else simulated
 
     def _large_motions(self, model, start, likelihood, stable, like):
         """The model with products as further inputs, those of another one or where they pay.
@@ -503,11 +536,12 @@ class Choice:
     def bic_of_predictions(self, chosen, refined):
         """The criterion of one-step predictions, with products as inputs where these pay."""
         large, linear = refined.large, refined.linear
-        covariance = linear.covariance if large is None else large.covariance
+        found = linear if large is None else large
         n_inputs = linear.n_inputs if large is None else large.model.n_inputs
         n_rows = sum(len(y) for _, y, _ in self.data.segments)
-        left = n_rows * np.linalg.slogdet(_with_noise(covariance))[1]
-        return left + self._spent(chosen.order, chosen.n_harmonics, n_inputs, n_rows)
+        return n_rows * _left(found) + self._spent(
+            chosen.order, chosen.n_harmonics, n_inputs, n_rows
+        )
 
     def start(self, innovations, s):
         """State at the first row of a segment, in the units of the signals."""
