@@ -370,10 +370,10 @@ def test_rows_without_outputs_are_gaps(reading, recorded):
 # ---- what is said -------------------------------------------------------------------------
 
 
-def test_samples_contradict_whole_periods_whose_inputs_always_move():
+def test_samples_contradict_whole_periods_whose_inputs_always_move(recorded):
     """The map is off by three times what the samples are; no free decay says so."""
     with pytest.warns(IdentifiabilityWarning, match="exponents are in doubt.* the samples have"):
-        pipe = pipeline()[:2].fit(*gusty(12))
+        pipe = pipeline()[:2].fit(*recorded)
     opinion = pipe["identify"].model_.opinion
     where, deviation = opinion.beside(np.array([truth()]))
     assert np.abs(where) < 2.0 * deviation

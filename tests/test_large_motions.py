@@ -198,7 +198,7 @@ def test_steps_go_on_while_they_move_an_exponent():
     assert np.max(np.abs(closed - own) / np.abs(own)) < 0.06
     experiment = read_for_fit(X, data.outputs)
     choice, *_ = Choice.of(sample.read(experiment, Settings()), Settings(), experiment.basis)
-    far = choice.models[2] = choice._of(np.eye(choice.states.bound)[None, :, :2])
+    far = choice.models[2] = choice._of(choice.states.known(2)[None])
     refined = choice.refined(choice.whole(far.best), far.best.stable)
     found = refined.innovations.multiplier_logarithms() * data.omega / (2.0 * np.pi)
     assert np.max(np.abs(found - own) / np.abs(own)) < 0.03

@@ -55,14 +55,18 @@ ROWS_COMPARED = 10_000  # of a longer record, choices are made on
 
 @dataclass(frozen=True, eq=False)
 class _States:
-    """States of every row, in constant coordinates: the first n are those of order n."""
+    """States of every row, in constant coordinates of two kinds.
 
-    # of (first, x, e): of each segment: its first row with a state, states (n_rows, bound), and
-    # innovations (n_rows, l)
+    Of what is known of outputs to come, and of that with each prediction as an output for those
+    after it, in which slow modes stand out. The first n of a kind are those of order n.
+    """
+
+    # of (first, x, e): of each segment: its first row with a state, states (n_rows, 2 bound), one
+    # kind beside the other, and innovations (n_rows, l)
     parts: list
-    singular_values: np.ndarray
-    bound: int  # the most states that there are
-    # (bound, l): coordinates of what the predictor knows of a row's own outputs, the strongest
+    singular_values: np.ndarray  # of the first kind
+    bound: int  # the most states that there are of a kind
+    # (2 bound, l): coordinates of what the predictor knows of a row's own outputs, the strongest
     # first
     of_outputs: np.ndarray
 
@@ -80,22 +84,32 @@ class _States:
             )
         root = linalg.cholesky(_with_noise(predictor.covariance, noise), lower=True)
         white = np.kron(np.eye(n_future), linalg.inv(root).T)
-        known = [futures_known(segment, predictor, n_future) for segment in data.segments]
-        gram = sum(white.T @ (ahead.T @ ahead) @ white for _, ahead in known)
-        values, vectors = linalg.eigh(gram / sum(len(ahead) for _, ahead in known))
+        firsts, *kinds = zip(
+            *(futures_known(segment, predictor, n_future) for segment in data.segments), strict=True
+        )
+        values, vectors = zip(*(_strongest(kind, white) for kind in kinds), strict=True)
         n = min(bound, max(asked, MOST_STATES))
-        V = white @ vectors[:, ::-1][:, :n]
         parts = []
-        for (first, ahead), (u, y, psi) in zip(known, data.segments, strict=True):
-            rows = slice(first, first + len(ahead))
-            e = y[rows] - ahead[:, :n_outputs] - evaluate_harmonics(predictor.loads, psi[rows])
+        for first, known, free, (u, y, psi) in zip(firsts, *kinds, data.segments, strict=True):
+            rows = slice(first, first + len(known))
+            e = y[rows] - known[:, :n_outputs] - evaluate_harmonics(predictor.loads, psi[rows])
             if layout.feedthrough:
                 e -= np.einsum("til,ti->tl", evaluate_harmonics(predictor.D, psi[rows]), u[rows])
-            parts.append((first, ahead @ V, e))
-        singular_values = np.sqrt(np.maximum(values[::-1], 0.0))
-        sights = vectors[:n_outputs, ::-1][:, :n].T
-        strongest = linalg.svd(singular_values[:n, None] * sights)[2]
-        return cls(parts, singular_values, n, sights @ strongest.T)
+            both = zip((known, free), vectors, strict=True)
+            states = np.hstack([ahead @ (white @ own[:, :n]) for ahead, own in both])
+            parts.append((first, states, e))
+        sights = vectors[0][:n_outputs, :n].T
+        strongest = linalg.svd(values[0][:n, None] * sights)[2]
+        of_outputs = np.vstack([sights @ strongest.T, np.zeros_like(sights)])
+        return cls(parts, values[0], n, of_outputs)
+
+    def known(self, order):
+        """Coordinates of so many states of what is known of outputs to come."""
+        return np.eye(2 * self.bound)[:, :order]
+
+    def free(self, order):
+        """The same with each prediction as an output for those after it."""
+        return np.eye(2 * self.bound)[:, self.bound :][:, :order]
 
     def rows(self, data, coordinates, some=True):
         """States, next states, inputs, outputs, innovations and azimuths, in some coordinates.
@@ -115,6 +129,13 @@ class _States:
                 both = zip(functions.T, coordinates, strict=True)
                 x = sum(f[:, None] * (states[own.start : own.stop + 1] @ V) for f, V in both)
                 yield x[:-1], x[1:], u[rows], y[rows], e[own], psi[rows]
+
+
+def _strongest(ahead, white):
+    """Singular values and vectors of outputs to come, each measured in its noise."""
+    gram = sum(white.T @ (each.T @ each) @ white for each in ahead)
+    values, vectors = linalg.eigh(gram / sum(map(len, ahead)))
+    return np.sqrt(np.maximum(values[::-1], 0.0)), vectors[:, ::-1]
 
 
 def _with_noise(covariance, noise=SENSOR_NOISE):
@@ -292,12 +313,15 @@ class Choice:
 
     def _constant(self, order):
         """Models in constant coordinates: of all that is known of outputs to come, or, where there
-        are enough of them, of a row's own outputs, which turn no more than C(ψ) does."""
-        every = [np.eye(self.states.bound)[:, :order]]
+        are enough of them, of a row's own outputs, which turn no more than C(ψ) does; of all with
+        predictions as outputs, where these leave more than noise."""
+        every = [self.states.known(order)]
         moving = sum(np.any([np.any(y, axis=0) for _, y, _ in self.data.segments], axis=0))
         if self.most and order <= moving:
             every.append(self.states.of_outputs[:, :order])
         models = [self._of(V[None]) for V in every]
+        if not any(self.leaves_noise(each.best) for each in models):
+            models.append(self._of(self.states.free(order)[None]))
         models = [each for each in models if each.is_possible] or models
         best = best_of([each.best for each in models], self.n_values)
         return next(each for each in models if each.best is best)

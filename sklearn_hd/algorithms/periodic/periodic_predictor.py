@@ -10,14 +10,14 @@ it forgets its state, and
     y[k] = Σ_{s=1…p} Φ_s(ψ_k) z[k−s] + D(ψ_k) u[k] + c̄(ψ_k) + e[k],   z = [u; y]
 
 is one linear regression, for each Φ_s is a product of periodic matrices, and periodic itself. What
-the next f outputs would be without inputs and innovations, f ≤ p, is known from data before k:
+of the next f outputs, f ≤ p, is known from data before k alone is
 
-    O_k = (ŷ[k+j])_{j=0…f−1} = Γ(ψ_k) x_k,   ŷ[k+j] = Σ_{s=1…p} Φ_s(ψ_{k+j}) ẑ[k+j−s]
+    O_k = (Σ_{s>j} Φ_s(ψ_{k+j}) z[k+j−s])_{j=0…f−1} = Γ(ψ_k) x_k
 
-with ẑ = z before k, and [0; ŷ] from there. Γ has rows C A … A: slow modes stand out in it, though
-the predictor itself, with rows C (A − K C) …, forgets them as soon as all others. x_k = VᵀO_k is
-the state in coordinates T(ψ) = VᵀΓ(ψ), V the first n vectors of one singular value decomposition
-over all k. Where Γ turns so far with ψ that T is singular at some azimuth, this
+and x_k = VᵀO_k is the state in coordinates T(ψ) = VᵀΓ(ψ), V the first n vectors of one singular
+value decomposition over all k. Γ has rows C (A − K C) … (A − K C): slow modes and fast ones are
+forgotten alike. With each prediction as an output for those after it, rows are C A … A: few states
+of that hold the slow modes. Where Γ turns so far with ψ that T is singular at some azimuth, this
 takes more states than the machine has, and modes of a model that no input moves; without these
 V turns, too. Each output of O_k is measured in its innovations, or a large channel decides all; and
 its periodic mean is taken out first, or V spans the orbit instead of the motion about it.
@@ -316,32 +316,35 @@ def futures_known(segment, predictor, n_future):
     """The row of the first, and O_k (n_rows, f l) of those with p rows before and f − 1 after them.
 
     Row k = n_s too, the one that follows the segment (inputs, outputs, psi), where f is 1. It is
-    p at most.
+    p at most. A second O_k has each prediction as an output for those after it.
     """
     u, y, psi = segment
     layout, p, f = predictor.layout, predictor.layout.n_lags, n_future
     z = np.hstack([u, y])
     n_rows, n_outputs = len(y) - p - f + 1, y.shape[1]
     if n_rows < 1:
-        return p, np.zeros((0, f * n_outputs))
-    known = np.zeros((n_rows, f, n_outputs))
+        return p, *np.zeros((2, 0, f * n_outputs))
+    known, free = np.zeros((2, n_rows, f, n_outputs))
     orders = range((layout.n_functions - 1) // 2 + 1)
     by_lag = predictor.lags.transpose(0, 2, 1, 3)  # (p, w, q, l)
+
+    def answer(values, lags, functions):
+        lags = lags.reshape(-1, layout.n_functions * n_outputs)
+        by_function = values.reshape(len(values), len(lags)) @ lags
+        by_function = by_function.reshape(len(values), layout.n_functions, n_outputs)
+        return np.einsum("kql,kq->kl", by_function, functions)
+
     at_once = AT_ONCE // (p * z.shape[1] * f + 1) + 1
     for start in range(0, n_rows, at_once):
-        rows = np.arange(start, min(n_rows, start + at_once)) + p
-        past = np.stack([z[rows - r] for r in range(1, p + 1)], axis=1)  # (k, p, w)
+        own = np.arange(start, min(n_rows, start + at_once))
+        past = np.stack([z[own + p - r] for r in range(1, p + 1)], axis=1)  # (k, p, w)
         for j in range(f):
-            ahead = known[rows - p, :j][:, ::-1]  # s = 1 … j: (k, j, l)
-            each = (past[:, : p - j], by_lag[j:]), (ahead, by_lag[:j, layout.n_inputs :])
-            by_function = sum(
-                values.reshape(len(rows), -1) @ lags.reshape(-1, layout.n_functions * n_outputs)
-                for values, lags in each
-            )
-            by_function = by_function.reshape(len(rows), layout.n_functions, n_outputs)
-            functions = harmonic_functions(psi[rows + j], orders)
-            known[rows - p, j] = np.einsum("kql,kq->kl", by_function, functions)
-    return p, known.reshape(n_rows, -1)
+            functions = harmonic_functions(psi[own + p + j], orders)
+            ahead = free[own, :j][:, ::-1]  # s = 1 … j: (k, j, l)
+            known[own, j] = answer(past[:, : p - j], by_lag[j:], functions)
+            later = answer(ahead, by_lag[:j, layout.n_inputs :], functions)
+            free[own, j] = known[own, j] + later
+    return p, known.reshape(n_rows, -1), free.reshape(n_rows, -1)
 
 
 @dataclass(frozen=True, eq=False)

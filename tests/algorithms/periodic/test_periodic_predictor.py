@@ -140,23 +140,29 @@ def test_what_is_known_of_outputs_to_come():
     u, y, psi = segment(60)
     own = layout(n_lags=4, feedthrough=False)
     predictor = LagSums.of([segment(800, seed=3)], own).predictor()
-    first, known = futures_known((u, y, psi), predictor, 3)
+    first, known, free = futures_known((u, y, psi), predictor, 3)
     z, k = np.hstack([u, y]), 17
-    for j in range(3):  # inputs are zero from row k on, outputs as predicted
+    for j in range(3):  # inputs are zero from row k on, outputs too, or as predicted
         functions = harmonic_functions(psi[k + j], range(3))
+
+        def answer(n_before, functions=functions, j=j):
+            return sum(
+                np.einsum("q,qwl,w->l", functions, predictor.lags[s - 1], z[k + j - s])
+                for s in range(n_before + 1, 5)
+            )
+
+        np.testing.assert_allclose(known[k - first, j], answer(j)[0], rtol=1e-12)
         z[k + j] = 0.0
-        z[k + j, own.n_inputs :] = sum(
-            np.einsum("q,qwl,w->l", functions, predictor.lags[s - 1], z[k + j - s])
-            for s in range(1, 5)
-        )
-    np.testing.assert_allclose(known[k - first], z[k : k + 3, own.n_inputs :].ravel(), rtol=1e-12)
+        z[k + j, own.n_inputs :] = answer(0)
+    np.testing.assert_allclose(free[k - first], z[k : k + 3, own.n_inputs :].ravel(), rtol=1e-12)
     assert first == 4
     assert len(known) == 60 - 4 - 2
 
 
 def test_a_segment_without_a_whole_predictor_tells_nothing():
     predictor = LagSums.of([segment(800)], layout(n_lags=4)).predictor()
-    assert futures_known(segment(5), predictor, 3)[1].shape == (0, 3)
+    _, known, free = futures_known(segment(5), predictor, 3)
+    assert known.shape == free.shape == (0, 3)
 
 
 def test_means_are_those_of_periodic_signals_at_any_clock():
