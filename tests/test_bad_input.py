@@ -439,7 +439,7 @@ def test_another_analyzer_than_at_fit(u, y):
         pipe["identify"].predict(plain)
 
 
-@pytest.mark.filterwarnings("ignore:2 of 2 exponents are in doubt")
+@pytest.mark.filterwarnings("ignore:. of 2 exponents are in doubt")
 def test_raw_signals_are_not_what_was_analysed_at_fit(u, y):
     frame = HarmonicAnalyzer(OMEGA, reading="sample").fit_transform(u, y)
     model = MOESPRegressor(order=2).fit(frame, y)

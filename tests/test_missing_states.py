@@ -123,6 +123,12 @@ def two_modes(seed, share, rests):
     return system, pd.DataFrame({"u": u}, time), pd.DataFrame(y, time, ["y"])
 
 
+def apart(model, system):
+    """How far the nearest exponent is from each of the system's, 1/s."""
+    gap = model.exponents()[:, None] - system.floquet_exponents()
+    return np.abs(gap - 1.55j * np.round(gap.imag / 1.55)).min(axis=0)
+
+
 @pytest.mark.parametrize("share", [0.05, pytest.param(0.0, marks=pytest.mark.slow)])
 def test_a_mode_of_little_motion_that_a_gain_follows_is_told(share):
     """3 % of the output, three times the noise: R² is 0.999, and no exponent is in doubt."""
@@ -135,12 +141,24 @@ def test_a_mode_of_little_motion_that_a_gain_follows_is_told(share):
     assert pipe.score(u, y) > 0.998
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 3, 5])
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
+def test_two_slow_modes_of_one_output_are_told_apart(seed):
+    """Lags of 28 rows for modes of 145 and 222: a third of the output is the slower one.
+
+    Of seeds 0 to 8, three have two states and are said to be in doubt; the others are right.
+    """
+    system, u, y = two_modes(seed, 0.5, rests=False)
+    pipe = make_pipeline(HarmonicAnalyzer(1.55, reading="sample"), MOESPRegressor()).fit(u, y)
+    assert pipe[-1].order_ == 4
+    assert pipe.score(u, y) > 0.9995
+    np.testing.assert_array_less(apart(pipe[-1].model_, system), 0.003)
+
+
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_an_order_given_has_the_block_rows_that_it_needs():
     """A short record has fewer by default; order="auto" found more states than were allowed."""
     system, u, y = two_modes(0, 0.1, rests=True)
     pipe = make_pipeline(HarmonicAnalyzer(1.55, reading="period"), MOESPRegressor(4)).fit(u, y)
-    found, exact = pipe[-1].model_.exponents(), system.floquet_exponents()
-    apart = found[:, None] - exact
-    apart -= 1.55j * np.round(apart.imag / 1.55)
-    assert np.all(np.abs(apart).min(axis=0) < 0.02)
+    np.testing.assert_array_less(apart(pipe[-1].model_, system), 0.02)

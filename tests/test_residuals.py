@@ -142,7 +142,7 @@ def test_models_of_samples_at_their_azimuths():
         few = in_service(output_harmonics=0).fit(u, y)
     assert {"autocorrelation", "autocorrelation by phase"} <= failed(table(few, u, y))
     with pytest.warns(IdentifiabilityWarning):
-        few = in_service(1, load_harmonics=0).fit(u, y)
+        few = in_service(load_harmonics=0).fit(u, y)
     assert "loads" in failed(table(few, u, y))
 
 
@@ -247,7 +247,7 @@ def test_titles_of_the_display_name_the_tests_that_fail_once(outputs):
 def test_display_by_azimuth_shows_loads_left_out():
     u, y = service_record()
     with pytest.warns(IdentifiabilityWarning):
-        pipe, whole = in_service(1, load_harmonics=0).fit(u, y), in_service(1).fit(u, y)
+        pipe, whole = in_service(load_harmonics=0).fit(u, y), in_service().fit(u, y)
     display, allowed_for = (ResidualDisplay.from_estimator(each, u, y) for each in (pipe, whole))
     assert "not noise" in display.axes_[2].get_title("left")
     shown, rest = (np.ptp(each.by_phase["y", "mean"]) for each in (display, allowed_for))
