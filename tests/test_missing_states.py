@@ -142,18 +142,19 @@ def test_a_mode_of_little_motion_that_a_gain_follows_is_told(share):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 3, 5])
-@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
-def test_two_slow_modes_of_one_output_are_told_apart(seed):
+@pytest.mark.parametrize(("seed", "right"), [(0, True), (1, True), (2, False), (3, True)])
+def test_two_slow_modes_of_one_output_are_told_apart(seed, right):
     """Lags of 28 rows for modes of 145 and 222: a third of the output is the slower one.
 
-    Of seeds 0 to 8, three have two states and are said to be in doubt; the others are right.
+    One record in four or so has a model of two states, and is said to be in doubt.
     """
     system, u, y = two_modes(seed, 0.5, rests=False)
-    pipe = make_pipeline(HarmonicAnalyzer(1.55, reading="sample"), MOESPRegressor()).fit(u, y)
-    assert pipe[-1].order_ == 4
-    assert pipe.score(u, y) > 0.9995
-    np.testing.assert_array_less(apart(pipe[-1].model_, system), 0.003)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        pipe = make_pipeline(HarmonicAnalyzer(1.55, reading="sample"), MOESPRegressor()).fit(u, y)
+    found = pipe[-1].order_ == 4 and np.all(apart(pipe[-1].model_, system) < 0.003)
+    assert found == right
+    assert found or any("2 of 2 exponents are in doubt" in str(w.message) for w in said)
 
 
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")

@@ -5,7 +5,7 @@
 3. States by a singular value decomposition of what it knows of the outputs to come, in coordinates
    that are constant or turn with the azimuth.
 4. Matrices, K and loads by least squares; order and harmonics by simulation (Schwarz's criterion).
-5. Steps of the likelihood from there, which bring back what the lags have lost.
+5. Steps of the likelihood from there, with a gain or without, bring back what the lags have lost.
 6. Products of states and inputs as further inputs, where a linear model does not hold.
 7. One state more or fewer, where that serves as well after these steps; modes that it does not
    need are truncated. Without products, or stable, where a model in doubt does not simulate.

@@ -1,4 +1,4 @@
-"""Models of samples of some order and harmonics: states, matrices, steps of the likelihood.
+"""Models of samples of some order and harmonics: matrices, and steps of the likelihood.
 
 Steps 3 to 6 of :mod:`~sklearn_hd._identify.sample`, which chooses among these models. The layouts
 of the predictor of step 2 are here, too: Akaike's criterion chooses lags and harmonics, Schwarz's
@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy import linalg
 
 from sklearn_hd._checks import LITTLE
 from sklearn_hd._identify.stages import (
@@ -35,11 +34,12 @@ from sklearn_hd.algorithms.periodic.periodic_predictor import (
     SENSOR_NOISE,
     LagSums,
     Layout,
+    States,
     StateSums,
-    futures_known,
     spread_rows,
+    with_noise,
 )
-from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN, harmonic_functions
+from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN
 from sklearn_hd.algorithms.subspace.order import Simulated, best_of
 
 MOST_STATE_HARMONICS = 8  # of the matrices, in coordinates that are no one's
@@ -53,99 +53,9 @@ MOST_HARMONICS = 3  # of the predictor, where the data choose
 ROWS_COMPARED = 10_000  # of a longer record, choices are made on
 
 
-@dataclass(frozen=True, eq=False)
-class _States:
-    """States of every row, in constant coordinates of two kinds.
-
-    Of what is known of outputs to come, and of that with each prediction as an output for those
-    after it, in which slow modes stand out. The first n of a kind are those of order n.
-    """
-
-    # of (first, x, e): of each segment: its first row with a state, states (n_rows, 2 bound), one
-    # kind beside the other, and innovations (n_rows, l)
-    parts: list
-    singular_values: np.ndarray  # of the first kind
-    bound: int  # the most states that there are of a kind
-    # (2 bound, l): coordinates of what the predictor knows of a row's own outputs, the strongest
-    # first
-    of_outputs: np.ndarray
-
-    @classmethod
-    def of(cls, data, predictor, settings, noise):
-        """States that a predictor makes of the data, whose outputs have some noise at least."""
-        layout, n_outputs = predictor.layout, data.n_outputs
-        asked = 1 if settings.order == "auto" else settings.order
-        n_future = layout.n_lags
-        bound = n_future * n_outputs
-        if asked > bound:
-            raise ValueError(
-                f"order={asked} exceeds the {bound} that {layout.n_lags} lags with {n_outputs} "
-                f"output(s) tell; lower order or raise block_rows"
-            )
-        root = linalg.cholesky(_with_noise(predictor.covariance, noise), lower=True)
-        white = np.kron(np.eye(n_future), linalg.inv(root).T)
-        firsts, *kinds = zip(
-            *(futures_known(segment, predictor, n_future) for segment in data.segments), strict=True
-        )
-        values, vectors = zip(*(_strongest(kind, white) for kind in kinds), strict=True)
-        n = min(bound, max(asked, MOST_STATES))
-        parts = []
-        for first, known, free, (u, y, psi) in zip(firsts, *kinds, data.segments, strict=True):
-            rows = slice(first, first + len(known))
-            e = y[rows] - known[:, :n_outputs] - evaluate_harmonics(predictor.loads, psi[rows])
-            if layout.feedthrough:
-                e -= np.einsum("til,ti->tl", evaluate_harmonics(predictor.D, psi[rows]), u[rows])
-            both = zip((known, free), vectors, strict=True)
-            states = np.hstack([ahead @ (white @ own[:, :n]) for ahead, own in both])
-            parts.append((first, states, e))
-        sights = vectors[0][:n_outputs, :n].T
-        strongest = linalg.svd(values[0][:n, None] * sights)[2]
-        of_outputs = np.vstack([sights @ strongest.T, np.zeros_like(sights)])
-        return cls(parts, values[0], n, of_outputs)
-
-    def known(self, order):
-        """Coordinates of so many states of what is known of outputs to come."""
-        return np.eye(2 * self.bound)[:, :order]
-
-    def free(self, order):
-        """The same with each prediction as an output for those after it."""
-        return np.eye(2 * self.bound)[:, self.bound :][:, :order]
-
-    def rows(self, data, coordinates, some=True):
-        """States, next states, inputs, outputs, innovations and azimuths, in some coordinates.
-
-        These are Fourier coefficients (2 H + 1, bound, n). Of the rows that choices are made on, or
-        of all.
-        """
-        whole = [(s, slice(0, len(y))) for s, (_, y, _) in enumerate(data.segments)]
-        turning = len(coordinates) // 2 + 1
-        for s, rows in compared_rows(data.segments) if some else whole:
-            first, states, e = self.parts[s]
-            u, y, psi = data.segments[s]
-            start, stop = max(rows.start, first), min(rows.stop, first + len(states) - 1)
-            if stop > start:
-                rows, own = slice(start, stop), slice(start - first, stop - first)
-                functions = harmonic_functions(psi[start : stop + 1], range(turning))
-                both = zip(functions.T, coordinates, strict=True)
-                x = sum(f[:, None] * (states[own.start : own.stop + 1] @ V) for f, V in both)
-                yield x[:-1], x[1:], u[rows], y[rows], e[own], psi[rows]
-
-
-def _strongest(ahead, white):
-    """Singular values and vectors of outputs to come, each measured in its noise."""
-    gram = sum(white.T @ (each.T @ each) @ white for each in ahead)
-    values, vectors = linalg.eigh(gram / sum(map(len, ahead)))
-    return np.sqrt(np.maximum(values[::-1], 0.0)), vectors[:, ::-1]
-
-
-def _with_noise(covariance, noise=SENSOR_NOISE):
-    """A covariance of outputs with some noise added, that of a sensor by default."""
-    return covariance + noise**2 * np.eye(len(covariance))
-
-
 def _left(innovations):
     """Logarithm of the variance that one-step predictions leave, beside the least noise."""
-    return np.linalg.slogdet(_with_noise(innovations.covariance))[1]
+    return np.linalg.slogdet(with_noise(innovations.covariance))[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,11 +143,24 @@ class Choice:
         noise = SENSOR_NOISE if steps else LEAST_NOISE  # which steps take to be there, too
         most = min(MOST_STATE_HARMONICS, basis.most_harmonics)
         self.most = most if layout.n_harmonics else 0
-        self.states = _States.of(data, self.predictor, settings, noise)
+        self.states = self._states(noise)
         self.models = {}  # by order: _Models
         self.simulated = list(_simulated(data.segments, max(skipped, layout.n_lags)))
         total = sum(np.sum(y**2, axis=0) for _, y, _ in self.simulated)
         self.total = np.where(total > 0.0, total, 1.0)  # of an output at rest nothing is left
+
+    def _states(self, noise):
+        """States that the predictor makes of the data, whose outputs have some noise at least."""
+        asked = 1 if self.settings.order == "auto" else self.settings.order
+        n_lags, n_outputs = self.layout.n_lags, self.data.n_outputs
+        most = n_lags * n_outputs
+        if asked > most:
+            raise ValueError(
+                f"order={asked} exceeds the {most} that {n_lags} lags with {n_outputs} "
+                f"output(s) tell; lower order or raise block_rows"
+            )
+        most = min(most, max(asked, MOST_STATES))
+        return States.of(self.data.segments, self.predictor, most, noise)
 
     @classmethod
     def of(cls, data, settings, basis, steps=True):
@@ -275,8 +198,14 @@ class Choice:
         return self._sums(self.models[order].coordinates, some)
 
     def _sums(self, coordinates, some=True):
-        rows = self.states.rows(self.data, coordinates, some)
+        rows = self._rows(coordinates, some)
         return StateSums.of(rows, self.most, self.basis.most_loads)
+
+    def _rows(self, coordinates, some=True):
+        """Rows of the states that choices are made on, or all; as ``States.rows`` gives them."""
+        segments = self.data.segments
+        whole = [(s, slice(0, len(y))) for s, (_, y, _) in enumerate(segments)]
+        return self.states.rows(segments, coordinates, compared_rows(segments) if some else whole)
 
     @property
     def tried(self):
@@ -427,7 +356,7 @@ class Choice:
         layout = replace(self.layout, n_input_harmonics=count if asked is None else asked)
         most_growth = GROWN / self.data.longest if stable else np.inf
         likelihood = self.data.segments, layout, SENSOR_NOISE, most_growth
-        found = self._most_likely(start, likelihood, stable, like) if self.steps else None
+        found = self._stepped(start, likelihood, stable, like) if self.steps else None
         model, ahead = (start, None) if found is None else found
         large, without = None, found and LargeMotions.without(model, *likelihood)
         if found is not None and (like is None or like.degrees):
@@ -437,7 +366,7 @@ class Choice:
             large, no_noise = None, why_no_noise(*compared)
         return Refined(model, ahead, self.data.rest, no_noise, large, without)
 
-    def _most_likely(self, start, likelihood, stable, like):
+    def _stepped(self, start, likelihood, stable, like):
         """The model of largest likelihood near a start: with a gain, or as another one has it.
 
         If simulations leave more than noise, it may be one without: white noise of sensors needs
@@ -453,10 +382,9 @@ class Choice:
         if found is None or not stable:
             return found
         model = found[0]
+        left = self.compared(model.n_states, model.n_harmonics, model)
         still = fitted(replace(model, gain=gain), self.data.segments, SENSOR_NOISE)
-        if still is None or self.leaves_noise(
-            self.compared(model.n_states, model.n_harmonics, model)
-        ):
+        if still is None or self.leaves_noise(left):
             return found
         n_rows = sum(len(y) for _, y, _ in self.data.segments)
         of_gain = 0.5 * n_rows * (_left(still) - _left(model))  # −log L
@@ -501,7 +429,7 @@ class Choice:
     def _noise(self, innovations):
         """Covariance of innovations, and of what is left of next states and of outputs."""
         n, total, n_rows = innovations.n_states, 0.0, 0
-        for x, following, u, y, e, psi in self.states.rows(self.data, self.models[n].coordinates):
+        for x, following, u, y, e, psi in self._rows(self.models[n].coordinates):
             form = innovations.rows(psi)
             known = np.hstack([x, u, np.ones((len(u), 1))])[..., None]
             rest = following - (form.states @ known + form.gain @ e[..., None])[..., 0]
@@ -509,7 +437,7 @@ class Choice:
             total, n_rows = total + noise.T @ noise, n_rows + len(noise)
         noise = total / n_rows
         n_outputs = self.data.n_outputs
-        noise[-n_outputs:, -n_outputs:] = _with_noise(noise[-n_outputs:, -n_outputs:])
+        noise[-n_outputs:, -n_outputs:] = with_noise(noise[-n_outputs:, -n_outputs:])
         return noise
 
     def _counts(self):

@@ -16,8 +16,8 @@ of the next f outputs, f ≤ p, is known from data before k alone is
 
 and x_k = VᵀO_k is the state in coordinates T(ψ) = VᵀΓ(ψ), V the first n vectors of one singular
 value decomposition over all k. Γ has rows C (A − K C) … (A − K C): slow modes and fast ones are
-forgotten alike. With each prediction as an output for those after it, rows are C A … A: few states
-of that hold the slow modes. Where Γ turns so far with ψ that T is singular at some azimuth, this
+forgotten alike. With each prediction as an output for those after it, rows are C A … A, in which
+slow modes stand out. Where Γ turns so far with ψ that T is singular at some azimuth, this
 takes more states than the machine has, and modes of a model that no input moves; without these
 V turns, too. Each output of O_k is measured in its innovations, or a large channel decides all; and
 its periodic mean is taken out first, or V spans the orbit instead of the motion about it.
@@ -345,6 +345,87 @@ def futures_known(segment, predictor, n_future):
             later = answer(ahead, by_lag[:j, layout.n_inputs :], functions)
             free[own, j] = known[own, j] + later
     return p, known.reshape(n_rows, -1), free.reshape(n_rows, -1)
+
+
+@dataclass(frozen=True, eq=False)
+class States:
+    """States of every row, in constant coordinates of two kinds.
+
+    Of what is known of outputs to come, and of that with each prediction as an output for those
+    after it, in which slow modes stand out. The first n of a kind are those of order n.
+    """
+
+    # of (first, x, e): of each segment: its first row with a state, states (n_rows, 2 bound), one
+    # kind beside the other, and innovations (n_rows, l)
+    parts: list
+    singular_values: np.ndarray  # of the first kind
+    bound: int  # the most states that there are of a kind
+    # (2 bound, l): coordinates of what the predictor knows of a row's own outputs, the strongest
+    # first
+    of_outputs: np.ndarray
+
+    @classmethod
+    def of(cls, segments, predictor, bound, noise):
+        """States that a predictor makes of segments (inputs, outputs, psi), so many of a kind.
+
+        ``noise`` is the least noise of each output.
+        """
+        layout, n_outputs, f = predictor.layout, predictor.layout.n_outputs, predictor.layout.n_lags
+        root = linalg.cholesky(with_noise(predictor.covariance, noise), lower=True)
+        white = np.kron(np.eye(f), linalg.inv(root).T)
+        firsts, *kinds = zip(*(futures_known(each, predictor, f) for each in segments), strict=True)
+        values, vectors = zip(*(_strongest(kind, white) for kind in kinds), strict=True)
+        parts = []
+        for first, known, free, (u, y, psi) in zip(firsts, *kinds, segments, strict=True):
+            rows = slice(first, first + len(known))
+            e = y[rows] - known[:, :n_outputs] - evaluate_harmonics(predictor.loads, psi[rows])
+            if layout.feedthrough:
+                e -= np.einsum("til,ti->tl", evaluate_harmonics(predictor.D, psi[rows]), u[rows])
+            both = zip((known, free), vectors, strict=True)
+            states = np.hstack([ahead @ (white @ own[:, :bound]) for ahead, own in both])
+            parts.append((first, states, e))
+        sights = vectors[0][:n_outputs, :bound].T
+        strongest = linalg.svd(values[0][:bound, None] * sights)[2]
+        of_outputs = np.vstack([sights @ strongest.T, np.zeros_like(sights)])
+        return cls(parts, values[0], bound, of_outputs)
+
+    def known(self, order):
+        """Coordinates of so many states of what is known of outputs to come."""
+        return np.eye(2 * self.bound)[:, :order]
+
+    def free(self, order):
+        """The same with each prediction as an output for those after it."""
+        return np.eye(2 * self.bound)[:, self.bound :][:, :order]
+
+    def rows(self, segments, coordinates, where):
+        """States, next states, inputs, outputs, innovations and azimuths, in some coordinates.
+
+        These are Fourier coefficients (2 H + 1, 2 bound, n). ``where`` are the rows to
+        take, as :func:`spread_rows` has them.
+        """
+        turning = len(coordinates) // 2 + 1
+        for s, rows in where:
+            first, states, e = self.parts[s]
+            u, y, psi = segments[s]
+            start, stop = max(rows.start, first), min(rows.stop, first + len(states) - 1)
+            if stop > start:
+                rows, own = slice(start, stop), slice(start - first, stop - first)
+                functions = harmonic_functions(psi[start : stop + 1], range(turning))
+                both = zip(functions.T, coordinates, strict=True)
+                x = sum(f[:, None] * (states[own.start : own.stop + 1] @ V) for f, V in both)
+                yield x[:-1], x[1:], u[rows], y[rows], e[own], psi[rows]
+
+
+def with_noise(covariance, noise=SENSOR_NOISE):
+    """A covariance of outputs with some noise added, that of a sensor by default."""
+    return covariance + noise**2 * np.eye(len(covariance))
+
+
+def _strongest(ahead, white):
+    """Singular values and vectors of outputs to come, each measured in its noise."""
+    gram = sum(white.T @ (each.T @ each) @ white for each in ahead)
+    values, vectors = linalg.eigh(gram / sum(map(len, ahead)))
+    return np.sqrt(np.maximum(values[::-1], 0.0)), vectors[:, ::-1]
 
 
 @dataclass(frozen=True, eq=False)
